@@ -13,20 +13,28 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bench.shared.results import RESULTS, Table, machine, markdown_page, write_results
 
+if TYPE_CHECKING:
+    from bench.depth.pairs import DepthPair
+
 FACTORS = {"halved": 0.5, "doubled": 2.0}
 SEQUENCES = ("new_tsukuba", "tartanair")  # real sequences
-INPUTS = ("flow", "camera", "objects", "film", "bodies", *SEQUENCES)
+RENDERED = ("camera", "checks", "window", "objects", "film", "lens", "shutter", "chunks", "bodies")
+INPUTS = ("flow", *RENDERED, "pairs", *SEQUENCES)
 KINDS = ("sideways+rotation", "forward")  # of rendered pairs of a static scene
 STEP = (0.05, 0.0, 0.02, 0.0, 0.01, 0.0)  # m and rad per frame, of the rendered film
+READOUT = 0.8  # of the film with a rolling shutter, share of the time between frames
+CHUNK = 12  # frames of a chunk of the rendered film in chunks, of 24 frames
 Figures = dict[str, float]
 Changes = dict[str, float] | str  # % by figure, empty for the same bits; or the message of an error
 Row = tuple[str, float, list[Changes]]  # setting, value, and changes for each factor
@@ -74,14 +82,20 @@ def changed(settings: Any, name: str, index: int | None, factor: float) -> Itera
 
 def inputs(data: Path | None) -> dict[str, Callable[[], Figures]]:
     """Return name → function that measures the figures of an input."""
+    import cv2
+
     import tisfm
+    from bench.depth.methods import OwnMethod
+    from bench.depth.scores import score
     from bench.sequences.entries import MAX_DEPTH, data_entries
     from bench.sequences.rendered_films import depth_in_one_scale, path_error
     from bench.shared.sequences import find_pairs, scene_pairs
     from tisfm.evaluation.sequences import compare_sequence
     from tisfm.metrics import depth_errors, endpoint_error, label_scores, pose_errors
+    from tisfm.reconstruction.chunks.entry import reconstruct_in_chunks
     from tisfm.rigid import pose_matrix
 
+    method = OwnMethod(preset="fast", motion="camera")
     fast = tisfm.Settings.preset("fast", motion="camera")
     with_objects = tisfm.Settings.preset("fast", motion="objects")
 
@@ -101,6 +115,34 @@ def inputs(data: Path | None) -> dict[str, Callable[[], Figures]]:
             figures.append((errors.rotation, depth, str(result.status) == "converged"))
         rotation, depth, converged = np.mean(figures, axis=0).tolist()
         return {"rotation, °": rotation, "abs-rel": depth, "converged": converged}
+
+    def checks() -> Figures:
+        statuses = []
+        for frames, options in rendered()["checks"]:
+            found = tisfm.interpret(*frames, settings=fast, **options)
+            statuses.append(str(found.status) == "converged")
+        return {"converged": float(np.mean(statuses))}
+
+    def window() -> Figures:
+        errors = []
+        for triple in rendered()["window"]:
+            *_, last = tisfm.interpret_sequence(triple.frames, window=3, camera=triple.camera)
+            errors.append(endpoint_error(last.flow, triple.flow))
+        return {"EPE, px": float(np.mean(errors))}
+
+    def pairs() -> Figures:
+        scores = [score(method.run(pair)[0], pair) for pair in pairs_of_groups(data)]
+
+        def mean_of(name: str) -> float:
+            values = [getattr(each, name) for each in scores]
+            return float(np.mean([value for value in values if value is not None]))
+
+        return {
+            "abs-rel": mean_of("abs_rel_all"),
+            "direction, °": mean_of("direction"),
+            "rotation, °": mean_of("rotation"),
+            "converged": float(np.mean([each.status == "converged" for each in scores])),
+        }
 
     def objects() -> Figures:
         pair = rendered()["objects"]
@@ -124,6 +166,37 @@ def inputs(data: Path | None) -> dict[str, Callable[[], Figures]]:
         depth = depth_in_one_scale(film, result)
         return {"path, %": path_error(result.poses, film.poses), "depth error": depth}
 
+    def lens() -> Figures:
+        film = rendered()["lens"]
+        result = tisfm.reconstruct(
+            film.frames, settings=fast, calibrate="radial", depth_of="keyframes"
+        )
+        focal = 100 * abs(result.camera.focal / film.camera.focal - 1)
+        return {"path, %": path_error(result.poses, film.poses), "focal length, %": focal}
+
+    def shutter() -> Figures:
+        film = rendered()["shutter"]
+        camera = replace(film.camera, readout=None)
+        result = tisfm.reconstruct(film.frames, camera=camera, settings=fast, depth_of="none")
+        error = abs(result.calibration.readout - READOUT)
+        return {"path, %": path_error(result.poses, film.poses), "readout": error}
+
+    def chunks() -> Figures:
+        film = rendered()["chunks"]
+        with TemporaryDirectory() as folder:
+            for number, frame in enumerate(film.frames):
+                cv2.imwrite(f"{folder}/{number:02d}.png", frame)
+            result = reconstruct_in_chunks(
+                folder,
+                Path(folder, "result"),
+                camera=film.camera,
+                settings=fast,
+                chunk=CHUNK,
+                map_unordered=lambda make, items: ((k, make(item)) for k, item in enumerate(items)),
+            )
+            depth = depth_in_one_scale(film, result)
+        return {"path, %": path_error(result.poses, film.poses), "depth error": depth}
+
     def sequence(name: str) -> Figures:
         assert data is not None  # real sequences are inputs only with a folder
         entry = next(e for e in data_entries(data)[0] if e.name == name)
@@ -136,31 +209,94 @@ def inputs(data: Path | None) -> dict[str, Callable[[], Figures]]:
         return {"path, %": 100 * (found.pieces[0].share or np.nan)} | depth
 
     real = {name: partial(sequence, name) for name in SEQUENCES if data}
-    rendered_inputs = {"camera": camera, "objects": objects, "film": film, "bodies": bodies}
-    return {"flow": flow, **rendered_inputs, **real}
+    made = (camera, checks, window, objects, film, lens, shutter, chunks, bodies)
+    return {"flow": flow, **dict(zip(RENDERED, made, strict=True)), "pairs": pairs, **real}
 
 
 @cache
 def rendered() -> dict[str, Any]:
     """Return name → rendered pair or film, made once in a process."""
+    from bench.window import blocks
     from tisfm.rigid import pose_matrix
     from tisfm.scenes import (
         bare_patches,
         bodies_film,
         bodies_path,
+        room,
         room_film,
         static_scene,
         three_blocks,
+        two_blocks,
     )
 
+    def poses(twists: NDArray) -> NDArray:
+        return np.array([pose_matrix(twist) for twist in twists])
+
+    steady = np.outer(np.arange(24), STEP)
+    at = np.arange(12)
+    shaken = np.stack(
+        [0.04 * at, 0.01 * np.sin(at), 0.02 * at, 0.03 * np.sin(0.9 * at),
+         0.04 * np.cos(0.7 * at) - 0.04, 0.02 * np.sin(1.3 * at)], axis=1
+    )  # fmt: skip
+    arc = np.array(
+        [(0.8 * s, 0.15 * np.sin(3 * s), 0.3 * s**2, 0.1 * np.sin(3 * s), -0.35 * s, 0.3 * s)
+         for s in np.linspace(-1, 1, 10)]
+    )  # fmt: skip
+    good, other = static_scene("forward", 120, 160), bare_patches(120, 160, seed=3)
+    bare = room(120, 160)
+    noise = np.random.default_rng(0).integers(0, 256, (3, 120, 160), dtype=np.uint8)
+    replaced = good.frame1.copy()
+    replaced[30:90, 40:120] = noise[2, 30:90, 40:120]
+    stripes = np.tile((np.arange(160) // 8 % 2 * 120 + 60).astype(np.uint8), (120, 1))
+    true = pose_matrix(good.motions[0])
     return {
+        "checks": [
+            ((good.frame0, good.frame1), {"camera": good.camera}),
+            ((good.frame0, other.frame0), {"camera": good.camera}),
+            ((noise[0], noise[1]), {}),
+            ((good.frame0, replaced), {"camera": good.camera}),
+            ((stripes, np.roll(stripes, 3, axis=1)), {}),
+            ((good.frame0, good.frame1), {"camera": good.camera, "pose": true}),
+            ((good.frame0, good.frame1), {"camera": good.camera, "pose": np.linalg.inv(true)}),
+            ((good.frame0, (good.frame1 * 0.6).astype(np.uint8)), {"camera": good.camera}),
+            ((bare.frame0, bare.frame1), {"camera": bare.camera}),
+            ((bare.frame0, bare.frame0), {"camera": bare.camera}),
+        ],
+        "window": [
+            blocks(make, 120, 160, 2.0, seed)
+            for make in (two_blocks, three_blocks)
+            for seed in (0, 1)
+        ],
+        "lens": room_film(poses(arc), 180, 240, samples=2),
+        "shutter": room_film(poses(shaken), 120, 160, textured=True, samples=1, readout=READOUT),
+        "chunks": room_film(poses(steady), 96, 128, textured=True),
         "camera": [*(static_scene(kind, 120, 160) for kind in KINDS), bare_patches(120, 160)],
         "objects": three_blocks(180, 240),
-        "film": room_film(
-            np.array([pose_matrix(k * np.array(STEP)) for k in range(8)]), 96, 128, textured=True
-        ),
+        "film": room_film(poses(steady[:8]), 96, 128, textured=True),
         "bodies": bodies_film(bodies_path(10), 150, 200),
     }
+
+
+@cache
+def pairs_of_groups(data: Path | None) -> "list[DepthPair]":
+    """Return the first pair of some groups of `bench.depth`, loaded once in a process."""
+    from bench.depth.pairs import (
+        HAND_HELD,
+        OFFICE,
+        POSE_GIVEN,
+        RENDERED_ROOM,
+        ROOM,
+        SPACED,
+        STEREO,
+        WIDE_BASELINE,
+        data_entries,
+        scene_entries,
+    )
+
+    groups = (RENDERED_ROOM, ROOM, ROOM + POSE_GIVEN, OFFICE, SPACED, HAND_HELD)
+    entries = scene_entries(120, 160) + (data_entries(data)[0] if data else [])
+    first = {entry.group: entry for entry in reversed(entries)}
+    return [first[name].load() for name in (*groups, WIDE_BASELINE, STEREO) if name in first]
 
 
 @cache
