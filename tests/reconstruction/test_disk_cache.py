@@ -17,13 +17,13 @@ def seen_of(count, seed=0):
 
 
 def assert_same(found, kept):
-    for one, other in zip(found.arrays(), kept.arrays(), strict=True):
+    for one, other in zip(found.to_arrays(), kept.to_arrays(), strict=True):
         np.testing.assert_array_equal(one, other)
         assert one.dtype == other.dtype
 
 
 def test_items_come_back_as_they_were_in_any_order():
-    shelf = DiskCache(Observations.arrays, Observations.of_arrays)
+    shelf = DiskCache(Observations.to_arrays, Observations.from_arrays)
     kept = [seen_of(count, seed=count) for count in (5, 0, 17)]
     for number, one in enumerate(kept):
         shelf.append(one)
@@ -35,7 +35,7 @@ def test_items_come_back_as_they_were_in_any_order():
 
 
 def test_changing_an_array_from_the_cache_leaves_the_cache():
-    shelf = DiskCache(Observations.arrays, Observations.of_arrays)
+    shelf = DiskCache(Observations.to_arrays, Observations.from_arrays)
     shelf.append(seen_of(4))
     shelf[0].points[:] = 0
     assert_same(shelf[0], seen_of(4))
@@ -48,9 +48,9 @@ def test_error_of_a_full_disk_has_advice(monkeypatch):
 
     monkeypatch.setattr(tempfile, "TemporaryFile", lambda prefix: Full())
     with pytest.raises(OSError, match="No space left on device; set TMPDIR to another folder"):
-        DiskCache(Observations.arrays, Observations.of_arrays).append(seen_of(1))
+        DiskCache(Observations.to_arrays, Observations.from_arrays).append(seen_of(1))
 
 
 def test_there_is_no_item_after_the_last():
     with pytest.raises(IndexError):
-        DiskCache(Observations.arrays, Observations.of_arrays)[0]
+        DiskCache(Observations.to_arrays, Observations.from_arrays)[0]

@@ -106,7 +106,7 @@ def test_most_drives_go_forward():
 
 def test_forward_path_scores_more_than_one_that_goes_sideways(monkeypatch):
     """The number of triangulated observations would prefer the wrong path."""
-    shared = ViewGraph.of(*drive(2), SHAPE)
+    shared = ViewGraph.from_views(*drive(2), SHAPE)
     right = shared.grow_models(CAMERA)[0]
     monkeypatch.setattr(growing, "first_pair_tolerance", lambda longer_side: 4.0)
     wrong = shared.grow_models(CAMERA)[0]
@@ -120,5 +120,5 @@ def test_forward_path_scores_more_than_one_that_goes_sideways(monkeypatch):
 def test_camera_that_hardly_moves_shows_no_parallax(seed):
     """In some pairs noise looks like parallax; a focal length from these pairs is wrong."""
     turning = drive(seed, step=0.01, turn=0.02, gain=0.0)
-    assert not ViewGraph.of(*turning, SHAPE).shows_parallax(CAMERA)
-    assert ViewGraph.of(*drive(seed), SHAPE).shows_parallax(CAMERA)
+    assert not ViewGraph.from_views(*turning, SHAPE).shows_parallax(CAMERA)
+    assert ViewGraph.from_views(*drive(seed), SHAPE).shows_parallax(CAMERA)

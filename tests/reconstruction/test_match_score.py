@@ -14,7 +14,7 @@ from tests.reconstruction.test_coverage import (
     view_of,
 )
 from tisfm.reconstruction.mapping.incremental import first_pair_tolerance
-from tisfm.reconstruction.mapping.model_scores import MatchScore, half_line_distances
+from tisfm.reconstruction.mapping.model_scores import MatchScorer, half_line_distances
 
 REST = np.eye(4)[:3]
 SIDEWAYS = np.column_stack([np.eye(3), [-0.5, 0, 0]])  # the camera goes to the right
@@ -68,7 +68,7 @@ def test_right_model_scores_each_match_with_one_and_a_wrong_one_less():
     points = points_seen(random, 10, 150, 80)
     views = [view_of(0, projected(points, REST)), view_of(1, projected(points, MOTION))]
     both = np.repeat(np.arange(80)[:, None], 2, axis=1)
-    score = MatchScore(views, {(0, 1): both}, SHAPE)
+    score = MatchScorer(views, {(0, 1): both}, SHAPE)
     assert score.match_count() == score.match_count({1, 2}) == 80
     assert score.match_count({1}) == 0
     assert score.score(model_of(MOTION)) == pytest.approx(80, rel=1e-3)
@@ -84,7 +84,7 @@ def test_view_with_a_wrong_position_explains_less():
     places = [MOTION + np.column_stack([np.zeros((3, 3)), [0.1 * k, 0, 0]]) for k in range(4)]
     views = [view_of(k, projected(points, pose)) for k, pose in enumerate([REST, *places])]
     both = np.repeat(np.arange(80)[:, None], 2, axis=1)
-    score = MatchScore(views, {(k, m): both for k in range(5) for m in range(k)}, SHAPE)
+    score = MatchScorer(views, {(k, m): both for k in range(5) for m in range(k)}, SHAPE)
     assert score.worst_view_share(model_of(*places)) == pytest.approx(1, abs=1e-3)
     assert score.worst_view_share(model_of(*places[:3], OTHER)) < 0.6
 
@@ -94,7 +94,7 @@ def test_half_the_tolerance_halves_the_score():
     points = np.array([[80.0, 60.0], [100.0, 60.0]])
     moved = points + np.array([-3.0, first_pair_tolerance(160) / 2])
     both = np.repeat(np.arange(2)[:, None], 2, axis=1)
-    score = MatchScore([view_of(0, points), view_of(1, moved)], {(0, 1): both}, SHAPE)
+    score = MatchScorer([view_of(0, points), view_of(1, moved)], {(0, 1): both}, SHAPE)
     assert CAMERA.center_for(*SHAPE)[1] == pytest.approx(59.5)
     assert score.score(model_of(SIDEWAYS)) == pytest.approx(1.0, rel=1e-2)
 

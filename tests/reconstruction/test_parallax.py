@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tisfm.reconstruction.mapping.parallax import beyond_homography, beyond_rotation
+from tisfm.reconstruction.mapping.parallax import homography_residuals, rotation_residuals
 
 NOISE = 3e-4  # rad
 
@@ -42,7 +42,7 @@ def tilted(points):
 @pytest.mark.parametrize("rotation", [(0, 0.05, 0), (0.1, 0.2, 0.1), (0, 0, 0.5), (0, 0, 0)])
 def test_rotation_explains_turning_cameras_for_any_focal_length(focal, rotation):
     pair = matches(far_and_near, np.zeros(3), rotation, focal=focal, outliers=30)
-    for left in (beyond_rotation(*pair), beyond_homography(*pair)):
+    for left in (rotation_residuals(*pair), homography_residuals(*pair)):
         assert np.median(left) < 3 * NOISE
         assert np.median(left[:30]) > 50 * NOISE  # outliers do not affect the fit
 
@@ -50,7 +50,7 @@ def test_rotation_explains_turning_cameras_for_any_focal_length(focal, rotation)
 def test_focal_length_beyond_the_limits_leaves_parallax():
     """Three times the stated focal length is beyond the search: the rest counts as parallax."""
     pair = matches(far_and_near, np.zeros(3), (0.1, 0.3, 0), focal=3.0, noise=0)
-    assert np.median(beyond_rotation(*pair)) > 10 * NOISE
+    assert np.median(rotation_residuals(*pair)) > 10 * NOISE
 
 
 @pytest.mark.parametrize("depth", [tilted, lambda points: np.full(len(points), 3.0)])
@@ -59,19 +59,19 @@ def test_plane_has_parallax_beyond_a_rotation_but_not_beyond_a_homography(depth,
     if translation[2] < 0 and depth is not tilted:
         translation = (0.4, 0.3, 0)  # motion straight towards a plane looks like a zoom
     pair = matches(depth, np.array(translation), (0.01, 0.02, 0.0))
-    assert np.median(beyond_homography(*pair)) < 3 * NOISE
-    assert np.median(beyond_rotation(*pair)) > 6 * NOISE
+    assert np.median(homography_residuals(*pair)) < 3 * NOISE
+    assert np.median(rotation_residuals(*pair)) > 6 * NOISE
 
 
 def test_depth_has_parallax_beyond_both():
     pair = matches(far_and_near, np.array([0.1, 0.02, 0]), (0, 0.02, 0))
-    assert np.median(beyond_homography(*pair)) > 10 * NOISE
-    assert np.median(beyond_rotation(*pair)) > 10 * NOISE
+    assert np.median(homography_residuals(*pair)) > 10 * NOISE
+    assert np.median(rotation_residuals(*pair)) > 10 * NOISE
 
 
 def test_no_directions_and_directions_behind_the_camera():
-    assert beyond_rotation(np.empty((0, 3)), np.empty((0, 3))).shape == (0,)
+    assert rotation_residuals(np.empty((0, 3)), np.empty((0, 3))).shape == (0,)
     before, after = matches(far_and_near, np.zeros(3), (0, 0.05, 0))
     after[7] = -after[7]
-    left = beyond_rotation(before, after)
+    left = rotation_residuals(before, after)
     assert left[7] == np.pi and np.median(np.delete(left, 7)) < 3 * NOISE

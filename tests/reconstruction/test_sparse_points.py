@@ -84,10 +84,10 @@ def test_points_in_batches_equal_those_at_once(monkeypatch):
 
 def test_points_of_tracks_are_a_mapping():
     points = {7: np.array([1.0, 2.0, 3.0]), 2: np.array([0.0, 1.0, 0.0])}
-    found = TrackPoints.of(points)
+    found = TrackPoints.from_mapping(points)
     assert list(found) == [2, 7] and 3 not in found and 8 not in found
     np.testing.assert_array_equal(found[7], points[7])
-    both = found | TrackPoints.of({7: np.zeros(3), 1: np.ones(3)})
+    both = found | TrackPoints.from_mapping({7: np.zeros(3), 1: np.ones(3)})
     assert list(both) == [1, 2, 7]
     np.testing.assert_array_equal(both[7], np.zeros(3))
     seen = Observations(points=np.arange(6.0).reshape(3, 2), tracks=np.array([1, 2, 9]))

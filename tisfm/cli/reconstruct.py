@@ -26,7 +26,7 @@ from tisfm.fusion.mesh import check_scikit_image
 from tisfm.machine.text import as_size
 from tisfm.reconstruction.chunks.chunk import CHUNK
 from tisfm.reconstruction.chunks.runs import ChunksRun, ReconstructRun, WholeRun
-from tisfm.reconstruction.progress import DepthOf, Enough, Stage
+from tisfm.reconstruction.progress import DepthOf, Stage, StopReading
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.report import check_report
@@ -218,7 +218,7 @@ def reconstruct(options: Reconstruct) -> int:
             stages.enter(stage)
             estimates[stage].update(done, total)
             if stage == "reading" and is_interrupted():
-                raise Enough
+                raise StopReading
             bar.update(task, description=STAGES[stage], completed=done, total=total)
 
         result = run.result(resume=options.resume, progress=tell_progress)

@@ -212,7 +212,7 @@ def reconstruct(
         of_result.check(stated, calibrate)
     if folder is not None:
         files = [camera_file_path(camera)] if isinstance(camera, Path) else []
-        refuse_inside([*frames.files, *files], Path(folder))
+        refuse_inputs_inside([*frames.files, *files], Path(folder))
     runtime.start()
     temporary = None
     if folder is None:
@@ -233,7 +233,7 @@ def reconstruct(
                     folder=path,
                     depth_of=depth_of,
                     object_sizes=sizes,
-                    labels_are_prepared=of_result is not None and of_result.camera is not None,
+                    are_labels_prepared=of_result is not None and of_result.camera is not None,
                 )
                 if progress is not None:
                     job = replace(job, progress=progress)
@@ -247,7 +247,7 @@ def reconstruct(
     return result if temporary is None else replace(result, _temporary=temporary)
 
 
-def refuse_inside(files: Iterable[Path], folder: Path) -> None:
+def refuse_inputs_inside(files: Iterable[Path], folder: Path) -> None:
     """Refuse an output folder that holds an input file: the file might be overwritten."""
     place = folder.resolve()
     for file in files:

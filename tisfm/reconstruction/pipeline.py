@@ -28,7 +28,7 @@ from tisfm.reconstruction.objects.sequence_labels import (
 )
 from tisfm.reconstruction.path.given_path import given_path
 from tisfm.reconstruction.path.path_solver import CameraPath, PathSolver
-from tisfm.reconstruction.progress import DepthOf, Enough, Progress
+from tisfm.reconstruction.progress import DepthOf, Progress, StopReading
 from tisfm.reconstruction.result.calibration import Calibrate, Calibration, as_json
 from tisfm.reconstruction.result.folder import CACHE, PICTURES, write_depth, write_record
 from tisfm.reconstruction.result.moving_object import MovingObject, refuse_unknown_ids
@@ -45,7 +45,9 @@ from tisfm.trajectory import Trajectory
 from tisfm.trajectory.times import times_note
 from tisfm.version import __version__
 
-NEW_PIECE = "no track connects it with earlier frames: a new piece begins, with a scale of its own"
+NEW_PIECE_NOTE = (
+    "no track connects it with earlier frames: a new piece begins, with a scale of its own"
+)
 NO_PARALLAX = Status(
     "little_parallax", "no nearby frame shows enough parallax for depth; its pose is known"
 )
@@ -71,7 +73,7 @@ class Job:
     # known lengths of moving objects, by their ids
     object_sizes: Mapping[int, float] = field(default_factory=dict)
     # whether given labels already belong to frames without distortion and readout effect
-    labels_are_prepared: bool = False
+    are_labels_prepared: bool = False
 
     @property
     def has_objects(self) -> bool:
@@ -137,12 +139,12 @@ def read_frames(job: Job) -> ReadFrames:
     with closing(source.frames()) as incoming:
         for frame in incoming:
             if not names:
-                camera = SourceCamera.of_first_frame(source, job.camera, frame)
+                camera = SourceCamera.from_first_frame(source, job.camera, frame)
                 frames = PreparedFrames(
                     camera.used_camera,
                     job.folder / CACHE,
                     job.folder / PICTURES,
-                    labels_are_prepared=job.labels_are_prepared,
+                    are_labels_prepared=job.are_labels_prepared,
                 )
                 if not job.has_objects:
                     tracker = _tracker(job, frames.camera, job.calibrate)
@@ -160,7 +162,7 @@ def read_frames(job: Job) -> ReadFrames:
             indices.append(frame.index)
             try:
                 job.progress("reading", len(names), total)
-            except Enough:
+            except StopReading:
                 break
     if len(names) < 2:
         raise InputError(
@@ -292,7 +294,9 @@ def write_result(
 
 
 def _tracker(job: Job, camera: Camera, calibrate: Calibrate) -> SequenceTracker:
-    return SequenceTracker(camera, focal_known=calibrate == "nothing", with_views=job.poses is None)
+    return SequenceTracker(
+        camera, is_focal_known=calibrate == "nothing", selects_views=job.poses is None
+    )
 
 
 def _path(job: Job, read: ReadFrames, tracks: SequenceTracks, calibrate: Calibrate) -> CameraPath:
@@ -309,7 +313,7 @@ def _path(job: Job, read: ReadFrames, tracks: SequenceTracks, calibrate: Calibra
         calibrate=calibrate,
         max_deviation=read.camera.max_focal_deviation,
         readout=readout,
-        focal_known=job.calibrate == "nothing" and read.camera.is_focal_known,
+        is_focal_known=job.calibrate == "nothing" and read.camera.is_focal_known,
     )
     return solver.solve(read.instants)
 
@@ -398,13 +402,13 @@ def median_track_depth(piece: Piece, seen: Sequence[Observations]) -> float:
 
 def add_piece_note(status: Status) -> Status:
     """Return the status of the first frame of a later piece, with a note on the new piece."""
-    message = f"{status.message}; {NEW_PIECE}" if status.message else NEW_PIECE
+    message = f"{status.message}; {NEW_PIECE_NOTE}" if status.message else NEW_PIECE_NOTE
     return Status(str(status), message)
 
 
 def remove_piece_note(status: Status) -> Status:
     """Return a status without the note of `add_piece_note`."""
-    return Status(str(status), status.message.removesuffix(NEW_PIECE).removesuffix("; "))
+    return Status(str(status), status.message.removesuffix(NEW_PIECE_NOTE).removesuffix("; "))
 
 
 def _count(source: FrameSource) -> int | None:

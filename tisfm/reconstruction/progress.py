@@ -10,5 +10,5 @@ Progress = Callable[[Stage, int, int | None], None]
 """Called with the stage, the number of finished frames, and the number of all frames, or None."""
 
 
-class Enough(Exception):  # noqa: N818  (it is no error)
+class StopReading(Exception):  # noqa: N818  (it is no error)
     """Raised by a progress callback while frames are read: reading ends with this frame."""

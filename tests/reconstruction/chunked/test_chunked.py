@@ -24,7 +24,7 @@ from tisfm.camera_file import read_camera
 from tisfm.reconstruction import pipeline as run_module
 from tisfm.reconstruction.chunks.entry import ChunkedRun, reconstruct_in_chunks
 from tisfm.reconstruction.path.path_solver import PathSolver
-from tisfm.reconstruction.pipeline import NEW_PIECE
+from tisfm.reconstruction.pipeline import NEW_PIECE_NOTE
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def test_focal_length_is_estimated_once(frames, tmp_path, monkeypatch):
     stated, chunks = [], []
 
     def solver(**options):
-        stated.append(options["focal_known"])
+        stated.append(options["is_focal_known"])
         return PathSolver(**options)
 
     def load_chunks(function, items):
@@ -192,7 +192,7 @@ def test_cut_stays_a_cut(tmp_path):
     at_once = tisfm.reconstruct(source, camera=film().camera, settings=FAST, depth_of="none")
     found = in_chunks(source, tmp_path / "out", depth_of="none")
     assert at_once.piece.tolist() == found.piece.tolist() == [0] * 12 + [1] * 12
-    assert [k for k, status in enumerate(found.status) if NEW_PIECE in status.message] == [12]
+    assert [k for k, status in enumerate(found.status) if NEW_PIECE_NOTE in status.message] == [12]
     np.testing.assert_allclose(found.poses[12], np.eye(4), atol=1e-9)
     assert path_error(found.poses[:12], one.poses) < 0.03
     assert path_error(found.poses[12:], other.poses) < 0.03

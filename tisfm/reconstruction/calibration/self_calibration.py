@@ -43,17 +43,17 @@ def find_models_and_focal(
     Returns models with the estimated focal length, or with the guess if the guess is as good; and
     the estimate, None if no focal length leads to a path, or if few views show parallax with it.
     """
-    graph = ViewGraph.of(views, matches, shape, focal_known=False)
+    graph = ViewGraph.from_views(views, matches, shape, is_focal_known=False)
     start_focal = _find_start_focal(graph, camera, calibrate)
     reconstructions = _grow_models(graph, camera, start_focal, calibrate) if start_focal else []
     if not reconstructions:
-        models = find_models(views, matches, camera, shape, focal_known=False)
+        models = find_models(views, matches, camera, shape, is_focal_known=False)
         return models, _guess_estimate(camera) if models else None
     _adjust(reconstructions[0], calibrate)
     estimate = _estimate_focal(reconstructions[0], camera, shape, calibrate)
     estimate = replace(estimate, max_deviation=max_deviation)
     if not estimate.is_useful:
-        return find_models(views, matches, camera, shape, focal_known=False), estimate
+        return find_models(views, matches, camera, shape, is_focal_known=False), estimate
     lens = estimate.apply_to(camera)
     if not estimate.radial and not graph.shows_parallax(lens):
         return [], None
@@ -61,7 +61,7 @@ def find_models_and_focal(
         # A rotation seen with a wrong focal length may look like a path. Such a path does not
         # appear again if models start with the estimated focal length: then there is no path. New
         # models may be bent too: they count only with a good score.
-        new_models = find_models(views, matches, lens, shape, focal_known=False)
+        new_models = find_models(views, matches, lens, shape, is_focal_known=False)
         score = graph.score(reconstructions) * graph.match_count()
         if (
             not new_models

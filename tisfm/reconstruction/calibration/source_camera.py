@@ -21,7 +21,7 @@ from tisfm.reconstruction.result.calibration import (
 )
 from tisfm.sources import FrameSource, SourceFrame
 
-UNSEEN_NOTE = (
+UNKNOWN_FOCAL_NOTE = (
     "the motion does not show the focal length: the camera moves straight without a rotation, or "
     "the scene is one plane"
 )
@@ -44,7 +44,7 @@ class SourceCamera:
     given_calibration: Calibration  # known calibration of a given camera
 
     @classmethod
-    def of_first_frame(
+    def from_first_frame(
         cls, source: FrameSource, given: Camera | Path | None, frame: SourceFrame
     ) -> "SourceCamera":
         """Return the given camera, the camera of a file, or a guess from the first frame."""
@@ -134,7 +134,7 @@ def make_calibration(
         if guess is not None:
             text += f", {guess.reason}"
         if is_estimated:
-            text += f": {'no path was found' if estimate is None else UNSEEN_NOTE}"
+            text += f": {'no path was found' if estimate is None else UNKNOWN_FOCAL_NOTE}"
         message = f"{text}; {ADVICE}"
         return Calibration(
             origin="guessed",

@@ -36,7 +36,7 @@ from tisfm.reconstruction.entry import (
     checked_camera,
     checked_poses,
     checked_settings,
-    refuse_inside,
+    refuse_inputs_inside,
 )
 from tisfm.reconstruction.path.given_poses import poses_of_frames
 from tisfm.reconstruction.progress import DepthOf, Progress
@@ -142,7 +142,7 @@ class ChunkedRun:
         camera, self._known_camera = checked_camera(camera)
         self.folder = Path(folder).absolute()
         files = [camera_file_path(camera)] if isinstance(camera, Path) else []
-        refuse_inside([*sources.files, *files], self.folder)
+        refuse_inputs_inside([*sources.files, *files], self.folder)
         self._frames, times = _selected_frames(sources)
         self._notes = [*sources.notes, *filter(None, [times_note(times)])]
         self._missing: dict[int, Status] = {}

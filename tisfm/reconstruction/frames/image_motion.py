@@ -105,11 +105,11 @@ class FlowPair:
     backward: np.ndarray
 
     @classmethod
-    def of_arrays(cls, forward: np.ndarray, backward: np.ndarray) -> "FlowPair":
+    def from_arrays(cls, forward: np.ndarray, backward: np.ndarray) -> "FlowPair":
         """Return the flow pair with these arrays."""
         return cls(forward=forward.astype(np.float32), backward=backward.astype(np.float32))
 
-    def arrays(self) -> tuple[np.ndarray, ...]:
+    def to_arrays(self) -> tuple[np.ndarray, ...]:
         """Return the arrays, with 11 significant bits."""
         return self.forward.astype(np.float16), self.backward.astype(np.float16)
 
@@ -137,7 +137,7 @@ class ImageMotion:
     ) -> None:
         self._camera, self._settings = camera, settings
         self._frames = DiskCache(lambda grey: (grey,), lambda grey: grey)
-        self._pairs = DiskCache(FlowPair.arrays, FlowPair.of_arrays)
+        self._pairs = DiskCache(FlowPair.to_arrays, FlowPair.from_arrays)
         self._cached_pairs: dict[int, tuple[FlowPair, np.ndarray, np.ndarray]] = {}
         self._shape = (0, 0)  # of the sequence's frames
         self.scale = 1.0  # of the shrunk frames, px per px of the sequence's frames

@@ -51,13 +51,13 @@ class PreparedFrames:
         cache: Path,  # folder for grey levels; it may be deleted after the reconstruction
         pictures: Path,  # folder for pictures, (H, W[, 3]) with 8 bits
         *,
-        labels_are_prepared: bool = False,  # whether labels already belong to prepared frames
+        are_labels_prepared: bool = False,  # whether labels already belong to prepared frames
     ) -> None:
         self.camera = camera.pinhole()  # the pinhole of the prepared frames
         self.shape = (0, 0)  # height and width, px; (0, 0) before the first frame
         self.count = 0
         self._lens: Undistortion | None = None
-        self._labels_are_prepared = labels_are_prepared
+        self._labels_are_prepared = are_labels_prepared
         self._source_camera, self._cache, self._pictures = camera, cache, pictures
         self._cached_frames: dict[int, np.ndarray] = {}
         self._states: dict[int, FrameState] = {}

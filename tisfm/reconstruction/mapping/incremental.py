@@ -8,9 +8,9 @@ import numpy as np
 from tisfm.reconstruction.mapping.database import pycolmap
 from tisfm.reconstruction.mapping.parallax import (
     LowParallaxFilter,
-    beyond_homography,
-    beyond_rotation,
     epipolar_angles,
+    homography_residuals,
+    rotation_residuals,
 )
 from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.result.calibration import Calibrate
@@ -19,7 +19,7 @@ Pairs = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
 
 
 class Score(Protocol):
-    """How well models explain the matches of views; see `MatchScore`."""
+    """How well models explain the matches of views; see `MatchScorer`."""
 
     def score(self, model: Any) -> float:
         """Return the sum of the scores of the matches between the views of a model."""
@@ -43,12 +43,12 @@ def grow_models(
     *,
     # Whether the focal length is known. Then a first pair needs parallax beyond a rotation, and may
     # show a single plane. With a guess, a first pair needs parallax beyond a homography.
-    focal_known: bool = True,
+    is_focal_known: bool = True,
 ) -> list[Any]:
     """Return pycolmap's reconstructions of the views in a database, the largest first."""
     cache, mapper, options = _open_mapper(database, calibrate)
     remaining = set(range(1, count + 1)) & set(cache.images)
-    first_pairs = _FirstPairs(pairs, focal_known)
+    first_pairs = _FirstPairs(pairs, is_focal_known)
     models = []
     while len(remaining) >= MAPPING.min_views:
         model = _build_model(mapper, score, options, first_pairs, remaining)
@@ -99,7 +99,7 @@ def shows_parallax(
     If few of them do, matching errors determine the focal length and the path.
     """
     _, mapper, options = _open_mapper(database)
-    first_pairs = _FirstPairs(pairs, focal_known=True)
+    first_pairs = _FirstPairs(pairs, is_focal_known=True)
     return first_pairs.parallax_share(mapper, options) >= MAPPING.min_parallax_pairs
 
 
@@ -124,9 +124,9 @@ def first_pair_tolerance(
 class _FirstPairs:
     """Selects the pairs of views from which a path may begin."""
 
-    def __init__(self, pairs: Pairs, focal_known: bool) -> None:  # as for `grow_models`
-        self._pairs, self._focal_known = pairs, focal_known
-        self._residual_angles = beyond_rotation if focal_known else beyond_homography
+    def __init__(self, pairs: Pairs, is_focal_known: bool) -> None:  # as for `grow_models`
+        self._pairs, self._focal_known = pairs, is_focal_known
+        self._residual_angles = rotation_residuals if is_focal_known else homography_residuals
         self._ranked_pairs = self._rank()
 
     def candidates(
@@ -182,10 +182,10 @@ class _FirstPairs:
         """
         before, after = self._pairs[first, second]
         epipolar_angle = float(np.median(epipolar_angles(np.eye(4)[:3], motion, before, after)))
-        homography_angle = float(np.median(beyond_homography(before, after)))
+        homography_angle = float(np.median(homography_residuals(before, after)))
         if not self._focal_known:
             return homography_angle > MAPPING.min_homography_ratio_guessed * epipolar_angle
-        rotation_angle = float(np.median(beyond_rotation(before, after)))
+        rotation_angle = float(np.median(rotation_residuals(before, after)))
         return (
             rotation_angle > MAPPING.min_rotation_ratio * epipolar_angle
             and homography_angle > MAPPING.min_homography_ratio * epipolar_angle

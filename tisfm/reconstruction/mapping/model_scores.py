@@ -26,7 +26,7 @@ Pairs = Mapping[tuple[int, int], np.ndarray]
 detected points."""
 
 
-class MatchScore:
+class MatchScorer:
     """Scores models by all matches of views.
 
     The score of a match is 1/(1 + (d/s)²). d is the distance, px, of the point in the second view

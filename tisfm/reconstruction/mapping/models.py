@@ -19,7 +19,7 @@ from tisfm.reconstruction.mapping.database import (
     pycolmap,
 )
 from tisfm.reconstruction.mapping.incremental import grow_from_poses, grow_models, shows_parallax
-from tisfm.reconstruction.mapping.model_scores import Coverage, MatchScore
+from tisfm.reconstruction.mapping.model_scores import Coverage, MatchScorer
 from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.tracks.tracker import Observations
@@ -37,7 +37,7 @@ class Model:
 
     poses: dict[int, np.ndarray]  # dict of int to (4, 4) float64: camera to world, by frame
     points: TrackPoints  # positions of tracks, in the world
-    # How well the model explains the matches of its views (`MatchScore`). It is 0 for a model that
+    # How well the model explains the matches of its views (`MatchScorer`). It is 0 for a model that
     # is joined from submaps (models of parts of the sequence) or continues an earlier model.
     score: float = 0.0
 
@@ -50,22 +50,22 @@ class ViewGraph:
     # dict of (int, int) to (N, 2) int32: for pairs of indices of views: indices of matching points
     pairs: dict[tuple[int, int], np.ndarray]
     shape: tuple[int, int]  # height and width of the frames, px
-    focal_known: bool = True  # whether the focal length is known, or is a guess
+    is_focal_known: bool = True  # whether the focal length is known, or is a guess
 
     @classmethod
-    def of(
+    def from_views(
         cls,
         views: Sequence[View],
         matches: Mapping[tuple[int, int], np.ndarray],
         shape: tuple[int, int],
         *,
-        focal_known: bool = True,
+        is_focal_known: bool = True,
     ) -> "ViewGraph":
         """Return the graph of views; arguments are those of `find_models`."""
         tracks = choose_long_tracks([view.observations for view in views], max(shape))
         views = [replace(view, observations=own) for view, own in zip(views, tracks, strict=True)]
         pairs = match_pairs(views, matches)
-        return cls(views=views, pairs=pairs, shape=shape, focal_known=focal_known)
+        return cls(views=views, pairs=pairs, shape=shape, is_focal_known=is_focal_known)
 
     def subgraph(self, first: int, last: int) -> "ViewGraph":
         """Return the graph of the views from `first` to before `last`."""
@@ -110,9 +110,9 @@ class ViewGraph:
                 database,
                 directions,
                 len(self.views),
-                MatchScore(self.views, pairs, self.shape),
+                MatchScorer(self.views, pairs, self.shape),
                 calibrate,
-                focal_known=self.focal_known,
+                is_focal_known=self.is_focal_known,
             )
 
     def shows_parallax(self, camera: Camera) -> bool:
@@ -123,7 +123,7 @@ class ViewGraph:
 
     def score(self, reconstructions: Sequence[Any]) -> float:
         """Return how well pycolmap's reconstructions explain the matches: their mean score."""
-        score = MatchScore(self.views, self.pairs, self.shape)
+        score = MatchScorer(self.views, self.pairs, self.shape)
         return sum(map(score.score, reconstructions)) / max(score.match_count(), 1)
 
     def match_count(self) -> int:
@@ -150,7 +150,7 @@ class ViewGraph:
 
     def model(self, reconstruction: Any) -> Model:
         """Return the model of a reconstruction, with the points of its adjusted tracks."""
-        score = MatchScore(self.views, self.pairs, self.shape).score(reconstruction)
+        score = MatchScorer(self.views, self.pairs, self.shape).score(reconstruction)
         return replace(_model_of_reconstruction(reconstruction, self.views), score=score)
 
 
@@ -164,7 +164,7 @@ def find_models(
     *,
     # Whether the focal length is known. If it is a guess, a path cannot begin where all matches lie
     # in one plane.
-    focal_known: bool = True,
+    is_focal_known: bool = True,
 ) -> list[Model]:  # The largest model first. Each view is in at most one model.
     """Find poses of views and points of tracks.
 
@@ -173,7 +173,7 @@ def find_models(
     Schönberger and Frahm, "Structure-from-motion revisited", CVPR 2016, doi 10.1109/CVPR.2016.445:
     incremental mapping, with pycolmap's steps.
     """
-    graph = ViewGraph.of(views, matches, shape, focal_known=focal_known)
+    graph = ViewGraph.from_views(views, matches, shape, is_focal_known=is_focal_known)
     return graph.models(graph.grow_models(camera), views, camera)
 
 
@@ -187,7 +187,7 @@ def continue_model(
     known_poses: Mapping[int, np.ndarray],
 ) -> Model:  # in the axes and the unit of the known poses, with the known poses unchanged
     """Find poses of more views, and points; the known poses of some views are fixed."""
-    graph = ViewGraph.of(views, matches, shape)
+    graph = ViewGraph.from_views(views, matches, shape)
     model = _model_of_reconstruction(graph.continue_model(camera, known_poses), graph.views)
     poses = {**model.poses, **{f: known_poses[f] for f in known_poses if f in model.poses}}
     return _add_track_points(Model(poses=poses, points=model.points), views, camera, shape)
@@ -207,7 +207,7 @@ def readjust_models(
     Returns one model for each set of poses. A view without a pose joins the first model that it
     fits.
     """
-    graph = ViewGraph.of(views, matches, shape)
+    graph = ViewGraph.from_views(views, matches, shape)
     numbers = {view.frame: k for k, view in enumerate(views, start=1)}
     remaining = set(numbers.values()) - {numbers[frame] for poses in known_poses for frame in poses}
     reconstructions = []
@@ -265,7 +265,7 @@ def _model_of_reconstruction(reconstruction: Any, views: Sequence[View]) -> Mode
             tracks = views[element.image_id - 1].observations.tracks
             if element.point2D_idx < len(tracks):
                 points[int(tracks[element.point2D_idx])] = np.array(point.xyz)
-    return Model(poses=dict(sorted(poses.items())), points=TrackPoints.of(points))
+    return Model(poses=dict(sorted(poses.items())), points=TrackPoints.from_mapping(points))
 
 
 def _add_track_points(

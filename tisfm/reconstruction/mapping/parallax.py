@@ -30,7 +30,7 @@ def epipolar_angles(
     return np.abs((after * normal).sum(axis=1))
 
 
-def beyond_homography(
+def homography_residuals(
     # before, after: (N, 3) float64, unit directions to matching points in two views
     before: np.ndarray,
     after: np.ndarray,
@@ -55,15 +55,15 @@ def beyond_homography(
     return np.asarray(angles)
 
 
-def beyond_rotation(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+def rotation_residuals(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """Return the residual angles after the best rotation, fitted together with a focal length.
 
     The focal length is the same in both views, and 0.5 to 2 times the stated focal length, with
     which the directions were computed. So a rotation seen with a wrong focal length shows no
     parallax.
 
-    Parameters and result are those of `beyond_homography`. The angles are computed with the stated
-    focal length.
+    Parameters and result are those of `homography_residuals`. The angles are computed with the
+    stated focal length.
     """
     is_visible = (before[:, 2] > MIN_Z) & (after[:, 2] > MIN_Z)
     start, end = (rays[is_visible, :2] / rays[is_visible, 2:] for rays in (before, after))

@@ -92,7 +92,7 @@ class MappingSettings:
     # distance to another view that sees a point, over a view's median depth
     min_baseline: float = 0.02
     # solution: standard deviations of the focal length, relative
-    max_seen_deviation: float = 0.05  # with more, the motion hardly shows the focal length
+    max_certain_deviation: float = 0.05  # with more, the motion hardly shows the focal length
     # with more, a guess is as good: focal lengths of 0.6 to 2 longer sides are common
     max_useful_deviation: float = 0.3
 

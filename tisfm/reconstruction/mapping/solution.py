@@ -38,7 +38,7 @@ class FocalEstimate:
     @property
     def is_certain(self) -> bool:
         """Whether the motion shows the focal length well."""
-        return self.deviation <= MAPPING.max_seen_deviation * self.focal
+        return self.deviation <= MAPPING.max_certain_deviation * self.focal
 
     @property
     def is_useful(self) -> bool:

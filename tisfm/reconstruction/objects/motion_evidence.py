@@ -29,11 +29,11 @@ class Evidence:
     weight: np.ndarray  # (H, W) float32: number of frames with evidence; each counts 1 at most
 
     @classmethod
-    def of_arrays(cls, total: np.ndarray, weight: np.ndarray) -> "Evidence":
+    def from_arrays(cls, total: np.ndarray, weight: np.ndarray) -> "Evidence":
         """Return the evidence with these arrays."""
         return cls(total=total.astype(np.float32), weight=weight.astype(np.float32))
 
-    def arrays(self) -> tuple[np.ndarray, ...]:
+    def to_arrays(self) -> tuple[np.ndarray, ...]:
         """Return the arrays of the evidence, with 11 significant bits."""
         return self.total.astype(np.float16), self.weight.astype(np.float16)
 
@@ -112,7 +112,7 @@ def evidence_of_error(error: np.ndarray) -> np.ndarray:
 def accumulate_evidence(motion: ImageMotion, evidence: Sequence[Evidence]) -> Sequence[Evidence]:
     """Return the evidence of every frame, accumulated along the image motion in both directions."""
     forward, backward = _accumulate(motion, evidence, 1), _accumulate(motion, evidence, -1)
-    result = DiskCache(Evidence.arrays, Evidence.of_arrays)
+    result = DiskCache(Evidence.to_arrays, Evidence.from_arrays)
     for frame, own_evidence in enumerate(evidence):
         from_earlier, from_later = forward[frame], backward[len(evidence) - 1 - frame]
         result.append(
@@ -131,7 +131,7 @@ def _accumulate(
 
     The result has the frames in the order of accumulation.
     """
-    result, previous = DiskCache(Evidence.arrays, Evidence.of_arrays), None
+    result, previous = DiskCache(Evidence.to_arrays, Evidence.from_arrays), None
     for frame in range(len(evidence))[::direction]:
         accumulated = evidence[frame]
         if previous is not None:

@@ -98,7 +98,7 @@ def find_object_path(
             frames.camera,
             readout=0.0,
             cells=max(TRACKS.cells, round(cells)),
-            focal_known=False,
+            is_focal_known=False,
         )
     except ValueError:  # the views do not fit together
         return "its tracks do not fit one rigid motion"

@@ -112,11 +112,11 @@ class StaticDepth:
         return cls(inverse_depth=np.zeros(shape, np.float32), static_pixels=np.zeros(shape, bool))
 
     @classmethod
-    def of_arrays(cls, inverse_depth: np.ndarray, static_pixels: np.ndarray) -> "StaticDepth":
+    def from_arrays(cls, inverse_depth: np.ndarray, static_pixels: np.ndarray) -> "StaticDepth":
         """Return the `StaticDepth` with these arrays."""
         return cls(inverse_depth=inverse_depth.astype(np.float32), static_pixels=static_pixels)
 
-    def arrays(self) -> tuple[np.ndarray, ...]:
+    def to_arrays(self) -> tuple[np.ndarray, ...]:
         """Return the arrays with all bits, since the unit of depth is arbitrary."""
         return self.inverse_depth, self.static_pixels
 

@@ -33,7 +33,7 @@ class SequenceLabels:
     ) -> None:
         self._motion = ImageMotion(camera, TRACKING_SETTINGS)
         self._shape = (0, 0)
-        self._evidence = DiskCache(Evidence.arrays, Evidence.of_arrays)
+        self._evidence = DiskCache(Evidence.to_arrays, Evidence.from_arrays)
         self._accumulated: Sequence[Evidence] = ()
 
     def add(self, grey: np.ndarray) -> None:
@@ -63,8 +63,8 @@ class SequenceLabels:
     def _add_path(self, poses: Sequence[np.ndarray | None], camera: Camera) -> BelowGroundSearch:
         """Add the evidence of the camera path, and return the search below the ground."""
         small_camera = self._motion.camera(camera)
-        combined = DiskCache(Evidence.arrays, Evidence.of_arrays)
-        depths = DiskCache(StaticDepth.arrays, StaticDepth.of_arrays)
+        combined = DiskCache(Evidence.to_arrays, Evidence.from_arrays)
+        depths = DiskCache(StaticDepth.to_arrays, StaticDepth.from_arrays)
         for frame, pair_evidence in enumerate(self._evidence):
             moving_pixels = self._accumulated[frame].mean() > OBJECTS.region_evidence
             path_result = path_evidence(self._motion, frame, poses, small_camera, moving_pixels)
@@ -90,7 +90,7 @@ class SequenceLabels:
         may extend into another moving object, which keeps its label.
         """
         cache: DiskCache[np.ndarray] = DiskCache(lambda labels: (labels,), lambda labels: labels)
-        evidence = DiskCache(Evidence.arrays, Evidence.of_arrays)
+        evidence = DiskCache(Evidence.to_arrays, Evidence.from_arrays)
         max_id, has_objects = 0, False
         for frame, frame_labels in enumerate(labels):
             cache.append(frame_labels)

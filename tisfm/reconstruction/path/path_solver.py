@@ -67,7 +67,7 @@ class PathSolver:
     readout: float | None = None
     # Whether the focal length is known. With a guess, a path cannot begin where all points lie in
     # one plane.
-    focal_known: bool = True
+    is_focal_known: bool = True
     frames: Sequence[int] | None = None  # the frames that get a pose; by default all
 
     def solve(
@@ -96,8 +96,8 @@ class PathSolver:
         )
 
     @property
-    def _is_focal_known(self) -> bool:
-        return self.focal_known and self.calibrate == "nothing"
+    def _uses_known_focal(self) -> bool:
+        return self.is_focal_known and self.calibrate == "nothing"
 
     def new_models(
         self,
@@ -112,7 +112,9 @@ class PathSolver:
             return find_models_and_focal(
                 views, matches, camera, shape, calibrate, max_deviation=self.max_deviation
             )
-        return find_models(views, matches, camera, shape, focal_known=self._is_focal_known), None
+        return find_models(
+            views, matches, camera, shape, is_focal_known=self._uses_known_focal
+        ), None
 
     def readjust(
         self,
@@ -125,7 +127,7 @@ class PathSolver:
         shape, matches = self.tracks.shape, self.tracks.matches
         if len(views) > SUBMAPS.max_views:
             models = models_from_submaps(
-                views, matches, camera, shape, observations, focal_known=self._is_focal_known
+                views, matches, camera, shape, observations, is_focal_known=self._uses_known_focal
             )
         else:
             known = [{frame: piece.poses[frame] for frame in piece.views} for piece in pieces]
@@ -139,7 +141,7 @@ class PathSolver:
                 solution.observations[frame],
                 solution.pieces,
                 self.tracks.distinct_count,
-                focal_known=self._is_focal_known,
+                is_focal_known=self._uses_known_focal,
             )
             for frame in solution.missing_frames
         }
@@ -236,7 +238,7 @@ class PathSolver:
                 lens.pinhole(),
                 shape,
                 observations,
-                focal_known=self._is_focal_known,
+                is_focal_known=self._uses_known_focal,
             )
             return self._solution_of_models(models, views, observations, lens, focal)
         models, focal = self.new_models(views, matches, camera, calibrate)
@@ -267,19 +269,19 @@ def find_path(
     # for each frame: grey levels, ignored pixels and image motion, the arguments of
     # `SequenceTracker.add`
     frames: Iterable[tuple[np.ndarray, np.ndarray | None, np.ndarray | None]],
-    # camera, readout, focal_known: as for `PathSolver`
+    # camera, readout, is_focal_known: as for `PathSolver`
     camera: Camera,
     *,
     cells: int | None = None,  # as for `SequenceTracker`
     readout: float | None = None,
-    focal_known: bool = True,
+    is_focal_known: bool = True,
 ) -> CameraPath:
     """Track frames, and return the camera path."""
     tracker = SequenceTracker(camera, cells=cells)
     for frame in frames:
         tracker.add(*frame)
     solver = PathSolver(
-        tracks=tracker.finish(), camera=camera, readout=readout, focal_known=focal_known
+        tracks=tracker.finish(), camera=camera, readout=readout, is_focal_known=is_focal_known
     )
     return solver.solve()
 
@@ -290,7 +292,7 @@ def _undistort_tracks(
     """Return where a pinhole would see the tracks of every frame."""
     if lens.is_pinhole:
         return tracks
-    undistorted = DiskCache(Observations.arrays, Observations.of_arrays)
+    undistorted = DiskCache(Observations.to_arrays, Observations.from_arrays)
     for observations in tracks:
         undistorted.append(undistort_observations(observations, lens, shape))
     return undistorted
@@ -300,7 +302,7 @@ def _undistort_views(views: Sequence[View], lens: Camera, shape: tuple[int, int]
     """Return views as a pinhole would see them."""
     if lens.is_pinhole:
         return views
-    undistorted = DiskCache(View.arrays, View.of_arrays)
+    undistorted = DiskCache(View.to_arrays, View.from_arrays)
     for view in views:
         undistorted.append(
             View(
@@ -346,7 +348,7 @@ def status_without_pose(
     distinct_count: int,  # number of frames that differ from one another
     *,
     # whether the focal length is known: then a path may begin where all points lie in one plane
-    focal_known: bool = True,
+    is_focal_known: bool = True,
 ) -> Status:
     """Return the status of a frame without a pose."""
     count = len(observations.tracks)
@@ -363,7 +365,7 @@ def status_without_pose(
             f"only {distinct_count} frames differ, but a path needs {MAPPING.min_views}: "
             "take more frames, or give the pair to tisfm.interpret",
         )
-    if not pieces and focal_known:
+    if not pieces and is_focal_known:
         return Status(
             "little_parallax",
             "no two frames show enough parallax to begin a path: the camera only turns, or noise "

@@ -76,7 +76,7 @@ class ReadoutCorrection:
 
     def all_tracks(self) -> DiskCache[Observations]:
         """Return the corrected tracks of every frame."""
-        corrected = DiskCache(Observations.arrays, Observations.of_arrays)
+        corrected = DiskCache(Observations.to_arrays, Observations.from_arrays)
         for frame in range(len(self._observations)):
             corrected.append(self.tracks(frame))
         return corrected
@@ -133,7 +133,7 @@ def find_corrected_path(
     If no readout time is significant, the given path and None are returned.
     """
     camera = solution.camera.pinhole()
-    views = DiskCache(View.arrays, View.of_arrays)
+    views = DiskCache(View.to_arrays, View.from_arrays)
     for view in solution.views:
         detected = undistort_points(view.detected, solution.camera, shape)
         views.append(
@@ -166,7 +166,7 @@ def find_corrected_path(
             solution.observations, corrected.pieces, instants, value, deviation, camera, shape
         )
         rolling = correction.rolling
-        corrected_views = DiskCache(View.arrays, View.of_arrays)
+        corrected_views = DiskCache(View.to_arrays, View.from_arrays)
         for view in views:
             corrected_views.append(correction.view(view))
         corrected = resolve(corrected_views, correction.all_tracks(), corrected.pieces)

@@ -88,7 +88,7 @@ class SlidingPath:
         *,
         # Whether the focal length is known. Otherwise it is a guess: it is estimated with the first
         # path, and then fixed.
-        focal_known: bool = True,
+        is_focal_known: bool = True,
         # Readout time, as in `tisfm.Camera`; None if it is estimated with the first path, and then
         # fixed
         readout: float | None = 0.0,
@@ -104,15 +104,15 @@ class SlidingPath:
         self.focal: FocalEstimate | None = None
         # The current value, 0 after a first path that does not show it; deviation 0 if it was given
         self.readout, self.readout_deviation = readout, 0.0
-        self._focal_known, self._limit = focal_known, limit
-        self._is_focal_stated = focal_known and not is_guess
+        self._focal_known, self._limit = is_focal_known, limit
+        self._is_focal_stated = is_focal_known and not is_guess
         self.seen = RecentObservations()  # as a global shutter would see the tracks
         self._read = RecentObservations()  # tracks not corrected for the readout
         self._unrolled_views: dict[int, View] = {}
         self._index_and_time: dict[int, tuple[int, float | None]] = {}  # by frame
         self.last_fixed = -1  # the last frame with a final result, with or without a pose
         self._tracker = Tracker(camera, TRACKING_SETTINGS)
-        self._views = ViewSelection(camera, focal_known=focal_known)
+        self._views = ViewSelection(camera, is_focal_known=is_focal_known)
         self._last_frame: tuple[np.ndarray, np.ndarray | None]
         self._shape = (0, 0)
         self._fixed: dict[int, dict[int, np.ndarray]] = {}  # fixed poses, by piece and frame
@@ -165,7 +165,7 @@ class SlidingPath:
             tracks=tracks,
             camera=self.camera,
             max_deviation=self._limit,
-            focal_known=self._is_focal_stated,
+            is_focal_known=self._is_focal_stated,
             frames=frames,
         )
 
@@ -262,8 +262,8 @@ class SlidingPath:
     def _find_readout(self, path: SlidingSolution) -> None:
         """Estimate the readout time with the first path; an insignificant one counts as 0."""
         pinhole, frames = self.camera.pinhole(), sorted(self._read.frames())
-        no_tracks = Observations.of_arrays(np.empty((0, 2)), np.empty(0, np.int64))
-        tracks = DiskCache(Observations.arrays, Observations.of_arrays)  # of all frames
+        no_tracks = Observations.from_arrays(np.empty((0, 2)), np.empty(0, np.int64))
+        tracks = DiskCache(Observations.to_arrays, Observations.from_arrays)  # of all frames
         for frame in range(len(self._read)):
             tracks.append(self._read[frame] if frame in set(frames) else no_tracks)
         solution = PathSolution(

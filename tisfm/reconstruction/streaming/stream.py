@@ -111,7 +111,7 @@ class Stream:
 
     def _add(self, frame: SourceFrame, number: int) -> None:
         if number == 0:
-            camera = SourceCamera.of_first_frame(self._source, self._camera, frame)
+            camera = SourceCamera.from_first_frame(self._source, self._camera, frame)
             self._source_camera = camera
             for name in (CACHE, PICTURES):
                 (self._folder / name).mkdir()
@@ -120,7 +120,7 @@ class Stream:
             )
             self._path = SlidingPath(
                 self._frames.camera,
-                focal_known=self._calibrate == "nothing",
+                is_focal_known=self._calibrate == "nothing",
                 readout=self._frames.camera.readout,
                 limit=camera.max_focal_deviation,
                 is_guess=not camera.is_focal_known,

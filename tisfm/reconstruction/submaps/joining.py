@@ -74,7 +74,7 @@ def focal_from_submaps(
 
 
 def models_from_submaps(
-    # views, matches, camera, shape, focal_known: as for
+    # views, matches, camera, shape, is_focal_known: as for
     # `tisfm.reconstruction.mapping.models.find_models`
     views: Sequence[View],
     matches: Matches,
@@ -82,12 +82,14 @@ def models_from_submaps(
     shape: tuple[int, int],
     observations: Sequence[Observations],  # tracks in every frame
     *,
-    focal_known: bool = True,
+    is_focal_known: bool = True,
 ) -> list[Model]:  # The largest model first. Each view is in at most one model.
     """Find poses of views and points of tracks, as `find_models` does, in bounded memory."""
     size = max(SUBMAPS.min_group_views, len(views) // SUBMAPS.group_count)
     spans = submap_spans(len(views))
-    builder = SubmapBuilder(views, matches, camera, shape, spans, size, focal_known=focal_known)
+    builder = SubmapBuilder(
+        views, matches, camera, shape, spans, size, is_focal_known=is_focal_known
+    )
     submaps = builder.build_submaps()
     begins = np.cumsum([0, *(len(submap.groups) for submap in submaps)]).tolist()
     edges = [*_edges_within_submaps(submaps, begins), *_edges_of_overlaps(submaps, begins, views)]

@@ -59,7 +59,7 @@ class SubmapBuilder:
 
     def __init__(
         self,
-        # views, matches, camera, shape, focal_known: as for
+        # views, matches, camera, shape, is_focal_known: as for
         # `tisfm.reconstruction.mapping.models.find_models`
         views: Sequence[View],
         matches: Matches,
@@ -69,11 +69,11 @@ class SubmapBuilder:
         spans: Sequence[tuple[int, int]],
         group_size: int,  # approximate number of views of a group
         *,
-        focal_known: bool = True,
+        is_focal_known: bool = True,
     ) -> None:
         self._views, self._matches, self._spans = views, matches, spans
         self._camera, self._shape, self._group_size = camera, shape, group_size
-        self._focal_known = focal_known
+        self._focal_known = is_focal_known
         self._cross_span = _cross_span_points(matches, spans)
 
     def build_submaps(self) -> list[Submap]:
@@ -114,7 +114,7 @@ class SubmapBuilder:
             for (earlier, later), both in self._matches.items()
             if earlier in index_of and later in index_of
         }
-        graph = ViewGraph.of(views, matches, self._shape, focal_known=self._focal_known)
+        graph = ViewGraph.from_views(views, matches, self._shape, is_focal_known=self._focal_known)
         if poses is None:
             reconstructions = graph.grow_models(self._camera)
         else:

@@ -23,18 +23,18 @@ class ImageDescriptors:
     levels: np.ndarray  # (N, 128) uint8: square roots of the descriptors of these points, times 255
 
     @classmethod
-    def of(cls, features: Features) -> "ImageDescriptors":
+    def from_features(cls, features: Features) -> "ImageDescriptors":
         """Return the descriptors of a view with these points."""
         return cls(
             points=features.points, levels=np.rint(features.roots * MAX_LEVEL).astype(np.uint8)
         )
 
     @classmethod
-    def of_arrays(cls, points: np.ndarray, levels: np.ndarray) -> "ImageDescriptors":
+    def from_arrays(cls, points: np.ndarray, levels: np.ndarray) -> "ImageDescriptors":
         """Return the descriptors with these arrays."""
         return cls(points=points, levels=levels)
 
-    def arrays(self) -> tuple[np.ndarray, ...]:
+    def to_arrays(self) -> tuple[np.ndarray, ...]:
         """Return its arrays."""
         return self.points, self.levels
 

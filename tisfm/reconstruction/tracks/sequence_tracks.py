@@ -37,16 +37,16 @@ class SequenceTracker:
         *,
         # Whether matches of views have to fit the focal length of the camera. Otherwise any focal
         # length may fit.
-        focal_known: bool = True,
-        with_views: bool = True,  # Whether views are selected. A given path needs only tracks.
+        is_focal_known: bool = True,
+        selects_views: bool = True,  # Whether views are selected. A given path needs only tracks.
         cells: int | None = None,  # as for `tisfm.reconstruction.tracks.tracker.Tracker`
     ) -> None:
         self._tracker = Tracker(camera, TRACKING_SETTINGS, cells)
-        self._observations = DiskCache(Observations.arrays, Observations.of_arrays)
-        self._with_views = with_views
-        self._views = ViewSelection(camera, focal_known=focal_known, on_disk=True)
+        self._observations = DiskCache(Observations.to_arrays, Observations.from_arrays)
+        self._with_views = selects_views
+        self._views = ViewSelection(camera, is_focal_known=is_focal_known, on_disk=True)
         self._close_views: ViewSelection | None = ViewSelection(
-            camera, focal_known=focal_known, on_disk=True
+            camera, is_focal_known=is_focal_known, on_disk=True
         )
         self._last_frame: tuple[np.ndarray, np.ndarray | None] | None = None
 

@@ -19,11 +19,11 @@ class Observations:
     tracks: np.ndarray  # (N,) int64: track numbers, ascending
 
     @classmethod
-    def of_arrays(cls, points: np.ndarray, tracks: np.ndarray) -> "Observations":
+    def from_arrays(cls, points: np.ndarray, tracks: np.ndarray) -> "Observations":
         """Return the observations with these arrays."""
         return cls(points=points, tracks=tracks)
 
-    def arrays(self) -> tuple[np.ndarray, ...]:
+    def to_arrays(self) -> tuple[np.ndarray, ...]:
         """Return its arrays."""
         return self.points, self.tracks
 

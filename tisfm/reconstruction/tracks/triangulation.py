@@ -22,7 +22,7 @@ class TrackPoints(Mapping[int, np.ndarray]):
     positions: np.ndarray  # (N, 3) float64
 
     @classmethod
-    def of(cls, points: Mapping[int, np.ndarray]) -> "TrackPoints":
+    def from_mapping(cls, points: Mapping[int, np.ndarray]) -> "TrackPoints":
         """Return the points of a mapping."""
         tracks = np.array(sorted(points), np.int64)
         positions = np.array([points[track] for track in tracks.tolist()], np.float64)
@@ -136,7 +136,7 @@ def _triangulate(
         positions.append(points)
         frames.append(np.full(len(points), frame))
     if not tracks:
-        return TrackPoints.of({})
+        return TrackPoints.from_mapping({})
     numbers, index = np.unique(np.concatenate(tracks), return_inverse=True)
     ray, centre, position, frame_of = map(np.concatenate, (rays, centres, positions, frames))
     count = np.bincount(index)

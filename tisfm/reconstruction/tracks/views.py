@@ -25,18 +25,18 @@ class View:
     detected: np.ndarray  # (M, 2) float64: points that are matched by appearance, px
 
     @classmethod
-    def of_arrays(cls, frame: np.ndarray, *arrays: np.ndarray) -> "View":
+    def from_arrays(cls, frame: np.ndarray, *arrays: np.ndarray) -> "View":
         """Return the view with these arrays."""
         points, tracks, detected = arrays
         return cls(
             frame=int(frame.item()),
-            observations=Observations.of_arrays(points, tracks),
+            observations=Observations.from_arrays(points, tracks),
             detected=detected,
         )
 
-    def arrays(self) -> tuple[np.ndarray, ...]:
+    def to_arrays(self) -> tuple[np.ndarray, ...]:
         """Return its arrays."""
-        return np.array(self.frame), *self.observations.arrays(), self.detected
+        return np.array(self.frame), *self.observations.to_arrays(), self.detected
 
 
 class ViewSelection:
@@ -47,19 +47,19 @@ class ViewSelection:
         camera: Camera,  # pinhole camera of the frames
         *,
         # Whether matches have to fit its focal length. Otherwise any focal length may fit.
-        focal_known: bool = True,
+        is_focal_known: bool = True,
         on_disk: bool = False,  # whether views are stored on disk: then they cannot be dropped
     ) -> None:
         # selected views, in the order of their frames
         self.views: list[View] | DiskCache[View] = (
-            DiskCache(View.arrays, View.of_arrays) if on_disk else []
+            DiskCache(View.to_arrays, View.from_arrays) if on_disk else []
         )
         # dict of (int, int) to (N, 2) int32 array: for pairs of indices of views: indices of their
         # detected points that match
         self.matches: dict[tuple[int, int], np.ndarray] = {}
-        self._camera, self._focal_known = camera, focal_known
+        self._camera, self._focal_known = camera, is_focal_known
         self._descriptors: list[ImageDescriptors] | DiskCache[ImageDescriptors] = (
-            DiskCache(ImageDescriptors.arrays, ImageDescriptors.of_arrays) if on_disk else []
+            DiskCache(ImageDescriptors.to_arrays, ImageDescriptors.from_arrays) if on_disk else []
         )
         self._matchable: list[int] = []  # views with enough detected points
         self._compared_pairs: set[tuple[int, int]] = set()
@@ -94,7 +94,7 @@ class ViewSelection:
         features = _detect_features(grey, ignored)
         number = len(self.views)
         self.views.append(View(frame=frame, observations=observations, detected=features.points))
-        self._descriptors.append(ImageDescriptors.of(features))
+        self._descriptors.append(ImageDescriptors.from_features(features))
         for earlier in self._matchable[-TRACKS.matched_views :]:
             self._match(earlier, number, grey.shape, min_matches=TRACKS.min_matches, min_share=0.0)
         if len(features.points) >= TRACKS.min_matches:
