@@ -57,7 +57,7 @@ class PreparedFrames:
         self.shape = (0, 0)  # height and width, px; (0, 0) before the first frame
         self.count = 0
         self._lens: Undistortion | None = None
-        self._labels_are_prepared = are_labels_prepared
+        self._are_labels_prepared = are_labels_prepared
         self._source_camera, self._cache, self._pictures = camera, cache, pictures
         self._cached_frames: dict[int, np.ndarray] = {}
         self._states: dict[int, FrameState] = {}
@@ -84,7 +84,7 @@ class PreparedFrames:
             grey, picture = self._lens.apply(grey), self._lens.apply(picture)
             if ignored is not None:
                 ignored = self._lens.nearest(ignored.astype(np.float32)) > 0
-            if labels is not None and not self._labels_are_prepared:
+            if labels is not None and not self._are_labels_prepared:
                 labels = _resample_labels(labels, self._lens)
             outside = ~self._lens.valid
             ignored = outside if ignored is None else ignored | outside
@@ -177,7 +177,7 @@ class PreparedFrames:
         self._write_mask(number, ignored)
         picture = read_picture(self._pictures.parent, number)
         write_picture(self._picture_path(number), resampling.apply(picture))
-        if self._states[number].is_labelled and not self._labels_are_prepared:
+        if self._states[number].is_labelled and not self._are_labels_prepared:
             self.set_labels(number, _resample_labels(self.labels(number), resampling))
 
     def tracker_input(self, number: int) -> tuple[np.ndarray, np.ndarray | None]:
