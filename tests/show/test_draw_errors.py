@@ -69,7 +69,7 @@ def test_calibration_is_the_coverage(factor):
     stated = 3 * factor * deviation
     axes = draw_calibration(found, stated, truth, axes=empty().add_subplot(), title="A title")
     lines = curve(axes)
-    covered = next(points for name, points in lines.items() if name.startswith("found"))
+    covered = next(points for name, points in lines.items() if name.startswith("measured"))
     for times in (0.5, 1.0, 2.0, 3.0):
         share = 100 * std_coverage(found, times * stated, truth)
         assert np.interp(times, *covered.T) == pytest.approx(share, abs=0.3)
@@ -80,7 +80,7 @@ def test_calibration_is_the_coverage(factor):
     assert abs(below) < 3 if factor == 1 else below * (factor - 1) > 10
     text = words(axes)
     assert "error (standard deviations)" in text and "pixels within (%)" in text
-    assert f"found: {100 * std_coverage(found, stated, truth):.0f} % within one" in text
+    assert f"measured: {100 * std_coverage(found, stated, truth):.0f} % within one" in text
 
 
 def test_calibration_of_infinite_and_unknown_deviations():

@@ -134,7 +134,7 @@ def test_a_rigid_figure_states_missing_depth():
     (frame, inverse_depth, flow), options = rigid_parts(20, 30)
     options["inverse_depth_std"] = np.full_like(inverse_depth, np.inf)
     shown = rigid_panels(frame, 0 * inverse_depth, 0 * flow, **options)
-    assert np.all(shown["Depth: none to be seen"] == color_ramp("depth")[0])
+    assert np.all(shown["Depth: no pixel has a depth"] == color_ramp("depth")[0])
     assert np.all(shown["Uncertainty of the depth (grey: unknown)"] == 200)
 
 

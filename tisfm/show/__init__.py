@@ -1,11 +1,11 @@
 """Pictures of depth and motion, as arrays and as figures.
 
-Here: pictures in common colours, which people with a colour vision deficiency can tell apart.
+All pictures share one set of colours, which people with a colour vision deficiency can tell apart.
 Functions take arrays. ``…_to_color`` and similar functions return uint8 pictures, red, green, blue.
-``draw_…`` draw into axes of Matplotlib, which are emptied first, with a legend and units, and
-return the axes. ``…_figure`` return a figure, which is a mosaic of panels drawn by ``draw_…``.
-Ranges are given as `limit`, so that all pictures of a sequence can share one. Arrays with masked
-values are refused.
+``draw_…`` functions empty axes of Matplotlib, draw into them with a legend and units, and return
+the axes. ``…_figure`` functions return a figure: a mosaic of panels drawn by ``draw_…`` functions.
+The argument `limit` ends the range of colours, so that all pictures of a sequence can share one
+range. Arrays with masked values are refused.
 
 May import: `tisfm.formats`, `tisfm.metrics`, and of the top level `checks`, `frames` and
 `status`.

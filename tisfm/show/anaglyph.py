@@ -45,14 +45,15 @@ def dubois(
     ----------
     left, right : (H, W) or (H, W, 3) array_like
         Views of the left and right eye, sRGB: uint8, uint16 (divided by 257), or float (times 255
-        if both are in [0, 1], but for overshoots).
+        if both views are in [0, 1] apart from slight overshoots).
     matrices : {"2009", "crt"}
         Least-squares matrices: the set of 2009, or the original set for CRT displays.
     linear : bool
         Whether to undo the sRGB transfer curve before the matrices and apply it after them. The
         default is True because the matrices were fitted to linear light. Part of the view of one
-        eye leaks through the filter of the other eye and adds up as light; the negative entries
-        cancel it. False applies the matrices to coded values, as much software does.
+        eye leaks through the filter of the other eye and adds light there; the negative entries of
+        the matrices cancel this light. False applies the matrices to coded values, as much software
+        does.
 
     Returns
     -------
@@ -81,16 +82,16 @@ def dubois(
     require_same_size("right", views[1], "left", views[0])
     if matrices not in _MATRICES:
         raise InputError(f"matrices is {matrices!r}, expected one of {sorted(_MATRICES)}")
-    decode = linear_from_srgb() if linear else np.arange(256, dtype=np.float32) / 255
+    linear_levels = linear_from_srgb() if linear else np.arange(256, dtype=np.float32) / 255
     # Linear light needs more steps than coded values, whose darkest levels lie close together.
-    most, kind = (65535, cv2.CV_16U) if linear else (255, cv2.CV_8U)
-    weights = np.array(_MATRICES[matrices], dtype=np.float32) * np.float32(most)
-    lights = (
-        cv2.transform(cv2.LUT(np.ascontiguousarray(as_rgb(view)), decode[None]), weight)
+    max_level, depth_type = (65535, cv2.CV_16U) if linear else (255, cv2.CV_8U)
+    weights = np.array(_MATRICES[matrices], dtype=np.float32) * np.float32(max_level)
+    weighted_views = (
+        cv2.transform(cv2.LUT(np.ascontiguousarray(as_rgb(view)), linear_levels[None]), weight)
         for view, weight in zip(as_uint8(*views), weights, strict=True)
     )
-    light_left, light_right = lights
-    mixed = cv2.add(light_left, light_right, None, None, kind)  # rounded and clipped
+    weighted_left, weighted_right = weighted_views
+    mixed = cv2.add(weighted_left, weighted_right, None, None, depth_type)  # rounded and clipped
     if linear:
         mixed = cv2.LUT(mixed, srgb_from_linear()[None])
     return np.asarray(mixed, np.uint8)
@@ -121,7 +122,7 @@ def anaglyph(
         Inverse depth in any unit.
     disparity, max_disparity, screen, screen_depth, limit, crop
         As in `stereo_view`: the disparity budget, as a share of the width or in px, the plane of
-        the screen, the inverse depth that counts as nearest, and whether the border is cut off.
+        the screen, the inverse depth of the nearest points, and whether the border is cut off.
     matrices, linear
         As in `dubois`.
 

@@ -17,28 +17,28 @@ from numpy.typing import NDArray
 
 from tisfm.show.mosaic import new_figure, panel_size
 from tisfm.show.palette import FAINT, INK
-from tisfm.show.ticks import with_room
+from tisfm.show.ticks import select_ticks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.legend import Legend
 
 # All numbers here are set by hand, by the look of the pictures.
-_PICTURE_TEXT = 0.028  # height of text around a picture, as a share of the mean side of the axes
-_PLOT_TEXT = 0.036  # height of text around a plot, as a share of the mean side of the axes
+_PICTURE_TEXT_SHARE = 0.028  # text height around a picture, over the mean side of the axes
+_PLOT_TEXT_SHARE = 0.036  # text height around a plot, over the mean side of the axes
 _MIN_TEXT_PIXELS = 9.0  # px: smaller text is hard to read
 _MAX_PIXELS_PER_AXES_PIXEL = 2  # finer pictures are reduced before they are drawn
-_PIXELS_PER_INCH = 250  # pictures up to this resolution are never reduced
-_MARGIN = 0.3  # inches around a picture in a figure of its own
-_LEGEND_WIDTH = 1.0  # inches for a legend beside that picture
-_LEGEND_HEIGHT = 0.4  # inches for a legend below that picture
-_CHARACTER_WIDTH = 0.6  # of a mean character, in text heights
-_MAX_SIDE_RATIO = 12  # of a picture: longer ones are stretched across, to stay visible
+_MIN_REDUCED_PPI = 250  # pixels per inch: pictures up to this resolution are never reduced
+_MARGIN = 0.3  # inches around the picture, in a figure with one picture
+_LEGEND_WIDTH = 1.0  # inches for a legend beside the picture
+_LEGEND_HEIGHT = 0.4  # inches for a legend below the picture
+_CHARACTER_WIDTH = 0.6  # mean width of a character over the text height
+_MAX_SIDE_RATIO = 12  # longer side over shorter side: a longer picture is widened to stay visible
 
 
 @dataclass
 class _LegendSpace:
-    """How the area of axes is divided between a picture and its legends."""
+    """The division of the area of axes between a picture and its legends."""
 
     divider: Any
     legends: list[Axes] = field(default_factory=list)
@@ -49,10 +49,10 @@ _LEGEND_SPACE = "_tisfm_legend_space"  # attribute of the axes that holds their 
 
 @dataclass(frozen=True)
 class Sizes:
-    """Sizes in proportion to axes, points."""
+    """Sizes of text and lines in proportion to axes, points."""
 
-    text: float
-    line: float
+    text: float  # height
+    line: float  # width
 
     @property
     def inch(self) -> float:
@@ -60,19 +60,19 @@ class Sizes:
         return self.text / 72
 
 
-def sizes_for(axes: Axes, share: float = _PICTURE_TEXT) -> Sizes:
+def sizes_for(axes: Axes, text_share: float = _PICTURE_TEXT_SHARE) -> Sizes:
     """Return sizes of text and lines that suit axes, from a thumbnail to a whole screen."""
     box = axes.get_window_extent()
-    pixels = max(_MIN_TEXT_PIXELS, share * math.sqrt(max(box.width * box.height, 1.0)))
+    pixels = max(_MIN_TEXT_PIXELS, text_share * math.sqrt(max(box.width * box.height, 1.0)))
     points = pixels * 72 / axes.figure.dpi
     return Sizes(text=points, line=points / 7)
 
 
-def picture_axes(height: int, width: int, *, below: bool = False) -> Axes:
-    """Return axes in a new figure, for a picture with a legend beside or below it."""
-    wide, high = panel_size(height, width)
-    aside, under = (0.0, _LEGEND_HEIGHT) if below else (_LEGEND_WIDTH, 0.0)
-    size = wide + aside + 2 * _MARGIN, high + under + 2 * _MARGIN
+def picture_axes(height: int, width: int, *, legend_below: bool = False) -> Axes:
+    """Return axes in a new figure, for a picture, in px, with a legend beside or below it."""
+    panel_width, panel_height = panel_size(height, width)
+    legend_width, legend_height = (0.0, _LEGEND_HEIGHT) if legend_below else (_LEGEND_WIDTH, 0.0)
+    size = panel_width + legend_width + 2 * _MARGIN, panel_height + legend_height + 2 * _MARGIN
     figure = new_figure(size)
     left, bottom = _MARGIN / size[0], _MARGIN / size[1]
     return figure.add_axes((left, bottom, 1 - 2 * left, 1 - 2 * bottom))
@@ -92,24 +92,24 @@ def show_picture(
     title: str | None = None,  # text above the picture
 ) -> Sizes:
     """Show a picture in axes in px, y downwards; return sizes for text and lines."""
-    _empty(axes)
+    _clear_axes(axes)
     sizes = sizes_for(axes)
     rows, columns = image.shape[:2]
     box = axes.get_window_extent()
-    finest = max(_MAX_PIXELS_PER_AXES_PIXEL, _PIXELS_PER_INCH / axes.figure.dpi)
+    max_pixel_ratio = max(_MAX_PIXELS_PER_AXES_PIXEL, _MIN_REDUCED_PPI / axes.figure.dpi)
     reduced_size = (
-        max(1, min(columns, math.ceil(finest * box.width))),
-        max(1, min(rows, math.ceil(finest * box.height))),
+        max(1, min(columns, math.ceil(max_pixel_ratio * box.width))),
+        max(1, min(rows, math.ceil(max_pixel_ratio * box.height))),
     )
     reduced = cv2.resize(np.ascontiguousarray(image), reduced_size, interpolation=cv2.INTER_AREA)
-    is_flat = max(rows, columns) > _MAX_SIDE_RATIO * min(rows, columns)
+    is_elongated = max(rows, columns) > _MAX_SIDE_RATIO * min(rows, columns)
     axes.imshow(
         reduced,
         cmap="gray",
         vmin=0,
         vmax=255,
         extent=(-0.5, columns - 0.5, rows - 0.5, -0.5),
-        aspect="auto" if is_flat else "equal",
+        aspect="auto" if is_elongated else "equal",
         interpolation="antialiased",
         origin="upper",
     )
@@ -127,7 +127,7 @@ def write_title(axes: Axes, title: str, sizes: Sizes) -> None:
 
 
 def write_inside(axes: Axes, sizes: Sizes, text: str) -> None:
-    """Write in the middle of empty axes why they are empty."""
+    """Write a text in the middle of empty axes, such as the reason why they are empty."""
     axes.text(
         0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", fontsize=sizes.text,
         color=INK, parse_math=False,
@@ -136,9 +136,9 @@ def write_inside(axes: Axes, sizes: Sizes, text: str) -> None:
 
 def style_plot(axes: Axes, title: str | None = None) -> Sizes:
     """Empty axes, give them the style of all plots, and return sizes for text and lines."""
-    _empty(axes)
+    _clear_axes(axes)
     axes.set_aspect("auto")
-    sizes = sizes_for(axes, _PLOT_TEXT)
+    sizes = sizes_for(axes, _PLOT_TEXT_SHARE)
     axes.grid(color=FAINT, linewidth=0.4 * sizes.line, alpha=0.4)
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=sizes.text, colors=INK, width=0.5 * sizes.line)
@@ -161,56 +161,56 @@ def name_axis(axes: Axes, sizes: Sizes, x: str, y: str) -> None:
     axes.set_ylabel(y, fontsize=sizes.text, color=INK, parse_math=False)
 
 
-def few_ticks(axes: Axes, sizes: Sizes) -> None:
-    """Keep only as many ticks as their labels have space for."""
+def limit_ticks(axes: Axes, sizes: Sizes) -> None:
+    """Limit the number of ticks to the space for their labels."""
     from matplotlib.ticker import MaxNLocator
 
     box = axes.get_window_extent()
-    character = sizes.inch * axes.figure.dpi
-    for axis, room in ((axes.xaxis, box.width / 6), (axes.yaxis, box.height / 3)):
-        axis.set_major_locator(MaxNLocator(nbins=int(np.clip(room / character, 2, 8))))
+    character_height = sizes.inch * axes.figure.dpi  # px
+    for axis, space in ((axes.xaxis, box.width / 6), (axes.yaxis, box.height / 3)):
+        axis.set_major_locator(MaxNLocator(nbins=int(np.clip(space / character_height, 2, 8))))
 
 
 def draw_bar(
     axes: Axes,  # axes of the picture
-    ramp: NDArray[np.uint8],  # (N, 3) uint8 ndarray: colours from the least to the greatest value
+    ramp: NDArray[np.uint8],  # (N, 3) uint8 ndarray: colours from the smallest to the largest value
     # sequence of (float, str): positions along the bar, rising from 0 to 1, and their labels. The
-    # ends are always written, others where there is space.
+    # labels of both ends are always written, the labels between them if there is space.
     ticks: Sequence[tuple[float, str]],
     *,
     label: str,  # the quantity and its unit
-    short: str,  # a shorter label, for little space
+    short_label: str,  # label if there is no space for `label`
     sizes: Sizes,
-    below: bool,  # whether the bar lies below the picture, else it is beside it
+    is_below: bool,  # whether the bar lies below the picture, else beside the picture
 ) -> Axes:  # axes of the bar
-    """Draw a colour bar beside or below a picture; the picture shrinks within its axes."""
-    longest = max(len(text) for _, text in ticks)
+    """Draw a colour bar beside or below a picture, and shrink the picture to make space."""
+    max_length = max(len(text) for _, text in ticks)
     character = _CHARACTER_WIDTH * sizes.inch
-    width, height = _shown_size(axes)
-    if below:
+    width, height = _picture_size(axes)
+    if is_below:
         bar = _side_axes(axes, "bottom", 0.8 * sizes.inch, 0.6 * sizes.inch)
         _side_axes(axes, "bottom", 3.2 * sizes.inch, 0).set_axis_off()
         bar.imshow(ramp[None], extent=(0, 1, 0, 1), aspect="auto", interpolation="bilinear")
-        shown = with_room(ticks, 1.5 * (longest + 1) * character / width)
+        spaced_ticks = select_ticks(ticks, 1.5 * (max_length + 1) * character / width)
         bar.set_yticks([])
-        bar.set_xticks([share for share, _ in shown], [text for _, text in shown])
+        bar.set_xticks([share for share, _ in spaced_ticks], [text for _, text in spaced_ticks])
         first, *_, last = bar.get_xticklabels()
         first.set_horizontalalignment("left")  # keeps both labels within the picture
         last.set_horizontalalignment("right")
-        name = label if len(label) * character < width else short
+        name = label if len(label) * character < width else short_label
         bar.set_xlabel(name, fontsize=sizes.text, color=INK, labelpad=2, parse_math=False)
     else:
         bar = _side_axes(axes, "right", 0.8 * sizes.inch, 0.6 * sizes.inch)
-        beside = longest * character + 2.6 * sizes.inch
-        _side_axes(axes, "right", beside, 0).set_axis_off()
+        label_width = max_length * character + 2.6 * sizes.inch
+        _side_axes(axes, "right", label_width, 0).set_axis_off()
         bar.imshow(ramp[::-1, None], extent=(0, 1, 0, 1), aspect="auto", interpolation="bilinear")
-        left = max(width - beside - 1.4 * sizes.inch, 0.0) * height / width
-        shown = with_room(ticks, 1.6 * sizes.inch / max(left, 1e-6))
+        bar_height = max(width - label_width - 1.4 * sizes.inch, 0.0) * height / width
+        spaced_ticks = select_ticks(ticks, 1.6 * sizes.inch / max(bar_height, 1e-6))
         bar.yaxis.tick_right()
         bar.yaxis.set_label_position("right")
         bar.set_xticks([])
-        bar.set_yticks([share for share, _ in shown], [text for _, text in shown])
-        name = label if len(label) * character < min(height, left) else short
+        bar.set_yticks([share for share, _ in spaced_ticks], [text for _, text in spaced_ticks])
+        name = label if len(label) * character < min(height, bar_height) else short_label
         bar.set_ylabel(name, fontsize=sizes.text, color=INK, labelpad=2, parse_math=False)
     bar.set(xlim=(0, 1), ylim=(0, 1))
     bar.tick_params(
@@ -221,8 +221,8 @@ def draw_bar(
     return bar
 
 
-def _empty(axes: Axes) -> None:
-    """Remove earlier contents of axes with their legends, and restore the position of the axes."""
+def _clear_axes(axes: Axes) -> None:
+    """Remove the contents and legends of axes, and restore the position of the axes."""
     space = getattr(axes, _LEGEND_SPACE, None)
     if space is not None:
         delattr(axes, _LEGEND_SPACE)
@@ -236,14 +236,14 @@ def _empty(axes: Axes) -> None:
 
 
 def legend_axes(axes: Axes, width: float, gap: float) -> Axes:
-    """Return empty axes beside a picture, within its axes; width and gap are in inches."""
+    """Return empty axes at the right side of a picture; width and gap are in inches."""
     legend = _side_axes(axes, "right", width, gap)
     legend.set_axis_off()
     return legend
 
 
 def _side_axes(axes: Axes, side: str, size: float, gap: float) -> Axes:
-    """Return new axes at a side of others, which become smaller when they are drawn."""
+    """Return new axes at a side of given axes, which become smaller when they are drawn."""
     from mpl_toolkits.axes_grid1.axes_divider import make_axes_locatable
 
     space = getattr(axes, _LEGEND_SPACE, None)
@@ -255,7 +255,7 @@ def _side_axes(axes: Axes, side: str, size: float, gap: float) -> Axes:
     return legend
 
 
-def _shown_size(axes: Axes) -> tuple[float, float]:
+def _picture_size(axes: Axes) -> tuple[float, float]:
     """Return the width and height, inches, of a picture in axes without a legend."""
     box = axes.get_window_extent()
     width, height = max(box.width, 1.0) / axes.figure.dpi, max(box.height, 1.0) / axes.figure.dpi

@@ -1,4 +1,4 @@
-"""Numbers of pixels as colours: depth, confidence, errors and uncertainty."""
+"""Maps of numbers as colours: depth, confidence, errors and uncertainty."""
 
 import math
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.errors import InputError
-from tisfm.show.arrays import as_map, check_limit, is_depth, require_same_size
+from tisfm.show.arrays import as_map, check_limit, require_same_size, valid_depth_mask
 from tisfm.show.palette import DEPTH_PERCENTILE, colors_of
 
 ERROR_RANGE = (1 / 16, 16.0)
@@ -25,7 +25,7 @@ def inverse_depth_limit(inverse_depth: ArrayLike, percentile: float = DEPTH_PERC
     inverse_depth : (H, W) array_like
         Inverse depth in any unit. Only finite positive values are used.
     percentile : float
-        Percentage of the values inside the range, from 0 to 100.
+        Percentage of the values below the top of the range, from 0 to 100.
 
     Returns
     -------
@@ -47,7 +47,7 @@ def inverse_depth_limit(inverse_depth: ArrayLike, percentile: float = DEPTH_PERC
     values = as_map("inverse_depth", inverse_depth)
     if not 0 <= percentile <= 100:
         raise InputError(f"percentile is {percentile!r}, expected a number from 0 to 100")
-    valid = values[is_depth(values)]
+    valid = values[valid_depth_mask(values)]
     return float(np.percentile(valid, percentile)) if valid.size else 0.0
 
 
@@ -92,11 +92,11 @@ def depth_grey(inverse_depth: ArrayLike, *, limit: float | None = None) -> NDArr
     if top == 0:
         return np.zeros(values.shape, dtype=np.uint8)
     # Values are clipped before they are scaled, so that nothing overflows.
-    shown = np.zeros(values.shape)
-    np.minimum(values, top, out=shown, where=is_depth(values))
-    shown /= top
-    shown *= 255
-    return np.rint(shown, out=shown).astype(np.uint8)
+    grey = np.zeros(values.shape)
+    np.minimum(values, top, out=grey, where=valid_depth_mask(values))
+    grey /= top
+    grey *= 255
+    return np.rint(grey, out=grey).astype(np.uint8)
 
 
 def depth_to_color(inverse_depth: ArrayLike, *, limit: float | None = None) -> NDArray[np.uint8]:
@@ -132,10 +132,10 @@ def depth_to_color(inverse_depth: ArrayLike, *, limit: float | None = None) -> N
     """
     values = as_map("inverse_depth", inverse_depth)
     top = inverse_depth_limit(values) if limit is None else check_limit("limit", limit)
-    known = np.isfinite(values)
-    share = np.where(known, 0.0, np.nan)
+    is_known = np.isfinite(values)
+    share = np.where(is_known, 0.0, np.nan)
     if top > 0:  # values are clipped before they are divided, so that nothing overflows
-        np.clip(values, 0, top, out=share, where=known)
+        np.clip(values, 0, top, out=share, where=is_known)
         share /= top
     return colors_of(share, "depth")
 
@@ -146,7 +146,7 @@ def confidence_to_color(confidence: ArrayLike) -> NDArray[np.uint8]:
     Parameters
     ----------
     confidence : (H, W) array_like
-        In [0, 1]; values beyond are shown as the nearer end. NaN is unknown: grey.
+        In [0, 1]. Values outside have the colour of the nearer end. NaN is unknown: grey.
 
     Returns
     -------
@@ -174,7 +174,7 @@ def error_to_color(
     """Show the length of flow errors as colours, from dark violet through green to yellow.
 
     The scale is logarithmic: each doubling of the error is the same step of the map (viridis,
-    perceptually uniform). So one range shows a tenth of a pixel as well as ten pixels, and pictures
+    perceptually uniform). So one range shows both a tenth of a pixel and ten pixels, and pictures
     of all datasets can be compared.
 
     Parameters
@@ -204,12 +204,12 @@ def error_to_color(
     """
     values = as_map("error", error)
     low, high = check_error_limits(limits)
-    known = ~np.isnan(values)
+    is_known = ~np.isnan(values)
     share = np.full(values.shape, np.nan)
-    clipped = np.clip(values[known].astype(np.float64), low, high)
-    # A difference of logarithms, because the ratio of distant ends overflows.
+    clipped = np.clip(values[is_known].astype(np.float64), low, high)
+    # A difference of logarithms, because the ratio of both ends can overflow.
     span = math.log2(high) - math.log2(low)
-    share[known] = (np.log2(clipped) - math.log2(low)) / span
+    share[is_known] = (np.log2(clipped) - math.log2(low)) / span
     return colors_of(share, "error")
 
 
@@ -221,14 +221,16 @@ def uncertainty_to_color(
 ) -> NDArray[np.uint8]:
     """Show the relative standard deviation of the depth in the colours of `error_to_color`.
 
-    To first order, depth and inverse depth have the same relative deviation. Certain depth is dark.
+    To first order, depth and inverse depth have the same relative deviation. Pixels with a certain
+    depth are dark.
 
     Parameters
     ----------
     inverse_depth : (H, W) array_like
         Inverse depth in any unit. A value that is not finite and positive is no depth: grey.
     inverse_depth_std : (H, W) array_like
-        Its standard deviation, in the same unit. A value that is not finite is unknown: grey.
+        Standard deviation of `inverse_depth`, in the same unit. A value that is not finite is
+        unknown: grey.
     limits : (float, float)
         Relative deviations at the two ends of the logarithmic scale. Smaller and larger deviations
         have the end colours.
@@ -255,15 +257,15 @@ def uncertainty_to_color(
         as_map("inverse_depth_std", inverse_depth_std),
     )
     require_same_size("inverse_depth_std", deviation, "inverse_depth", value)
-    known = is_depth(value) & np.isfinite(deviation)
+    is_known = valid_depth_mask(value) & np.isfinite(deviation)
     share = np.full(value.shape, np.nan)
     with np.errstate(over="ignore"):  # infinity has the colour of the upper limit
-        np.divide(deviation, value, out=share, where=known, dtype=np.float64)
+        np.divide(deviation, value, out=share, where=is_known, dtype=np.float64)
     return error_to_color(share, limits=limits)
 
 
 def check_error_limits(limits: tuple[float, float]) -> tuple[float, float]:
-    """Return both ends of a logarithmic scale; raise ValueError if they cannot be its ends."""
+    """Return both ends of a logarithmic scale; raise ValueError unless 0 < low < high."""
     low, high = limits
     if not (math.isfinite(low) and math.isfinite(high) and 0 < low < high):
         raise InputError(f"limits is {limits!r}, expected two finite numbers with 0 < low < high")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from tisfm.errors import InputError
-from tisfm.show.axes import few_ticks, name_axis, plot_axes, style_plot, write_inside
+from tisfm.show.axes import limit_ticks, name_axis, plot_axes, style_plot, write_inside
 from tisfm.show.palette import ESTIMATE, FAINT, INK, OTHER
 from tisfm.status import History
 
@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 CurveQuantity = Literal["energy", "change"]
-_LEGEND_BOX = 0.0, 0.0, 1.0, 0.88  # area for the legend below the names of levels, in axes
+# area for the legend, below the names of levels: left, bottom, width, height, as shares of the axes
+_LEGEND_BOX = 0.0, 0.0, 1.0, 0.88
 _MIN_CHANGE = 1e-12  # smallest change on a logarithmic axis; set by hand
 
 
@@ -29,9 +30,9 @@ def draw_energy(
 ) -> Axes:
     """Draw the energy after every iteration, or the change by every iteration.
 
-    Bands are the levels of the pyramid, from the coarsest on the left. A line is broken at every
-    new warp of the images: the energy is one function, which never rises, only within a warp.
-    Points are iterations.
+    Bands are the levels of the pyramid, from the coarsest on the left. Points are
+    iterations. A line is broken at every new warp of the images: each warp has its own energy
+    function, and the energy never rises within a warp.
 
     Parameters
     ----------
@@ -69,17 +70,17 @@ def draw_energy(
         raise InputError(f"quantity is {quantity!r}, expected one of {expected}")
     target = plot_axes(6.4, 3.2) if axes is None else axes
     sizes = style_plot(target, title)
-    energy = quantity == "energy"
-    y = "energy (any unit)" if energy else "relative change of the unknowns"
+    is_energy = quantity == "energy"
+    y = "energy (any unit)" if is_energy else "relative change of the unknowns"
     name_axis(target, sizes, "iteration", y)
     count = len(history.energy)
     if not count:
         write_inside(target, sizes, "no iterations")
         return target
     target.set_xlim(-0.5, count - 0.5)
-    few_ticks(target, sizes)
+    limit_ticks(target, sizes)
     curves = [("energy", history.energy, ESTIMATE, "-")]
-    if energy:
+    if is_energy:
         curves.append(("half-quadratic", history.half_quadratic, OTHER, "--"))
     else:
         curves = [("change", np.maximum(history.change, _MIN_CHANGE), ESTIMATE, "-")]
@@ -104,7 +105,7 @@ def draw_energy(
     is_log = target.get_yscale() == "log"  # space at the top for the names of levels
     target.set_ylim(low, high * (high / low) ** 0.15 if is_log else high + 0.15 * (high - low))
     _draw_levels(target, history.level, sizes.text)
-    if energy:
+    if is_energy:
         target.legend(
             loc="best",
             bbox_to_anchor=_LEGEND_BOX,
@@ -116,18 +117,18 @@ def draw_energy(
 
 
 def _draw_levels(axes: Axes, level: np.ndarray, text: float) -> None:
-    """Shade every other level, and name the levels that have space for a name."""
+    """Shade every other level, and name each level with enough space; `text` is in points."""
     starts = [0, *(np.flatnonzero(np.diff(level)) + 1), len(level)]
     box = axes.get_window_extent()
-    character = 0.6 * text / 72 * axes.figure.dpi
-    for number, (start, stop) in enumerate(pairwise(starts)):
-        if number % 2 == 0:
+    character = 0.6 * text / 72 * axes.figure.dpi  # width, px
+    for band, (start, stop) in enumerate(pairwise(starts)):
+        if band % 2 == 0:
             axes.axvspan(start - 0.5, stop - 0.5, color=FAINT, alpha=0.12, linewidth=0)
-        room = box.width * (stop - start) / len(level)
+        space = box.width * (stop - start) / len(level)
         name = f"level {level[start]}"
-        if room < len(name) * character:
+        if space < len(name) * character:
             name = str(level[start])
-        if room >= (len(name) + 0.5) * character:
+        if space >= (len(name) + 0.5) * character:
             axes.text(
                 (start + stop - 1) / 2,
                 0.985,

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from tisfm.metrics import depth_error_map, endpoint_error_map
 from tisfm.metrics.depth_std import error_in_deviations
 from tisfm.metrics.valid_pixels import is_known
-from tisfm.show.arrays import as_flow, as_map, is_depth, require_same_size
+from tisfm.show.arrays import as_flow, as_map, require_same_size, valid_depth_mask
 from tisfm.show.axes import name_axis, plot_axes, style_plot
 from tisfm.show.color_maps import DEPTH_ERROR_RANGE, ERROR_RANGE, check_error_limits, error_to_color
 from tisfm.show.draw_maps import Bar, draw_with_bar
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _MAX_DEVIATIONS = 3.0  # standard deviations, the end of the axis of a calibration plot
-_CURVE_POINTS = 121  # of a calibration curve
+_CURVE_POINTS = 121  # points of a calibration curve; set by hand
 
 
 def draw_flow_error(
@@ -34,7 +34,7 @@ def draw_flow_error(
     legend: bool = True,
     title: str | None = None,
 ) -> Axes:
-    """Draw the end-point error of a flow, as `error_to_color` shows it.
+    """Draw the end-point error of a flow in the colours of `error_to_color`.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def draw_flow_error(
     error = np.full(true.shape[:2], np.nan)
     if is_known(true).all(axis=2).any():
         error = endpoint_error_map(recovered, true)
-    title = _mean_of(error, "px") if title is None else title
+    title = _mean_title(error, "px") if title is None else title
     label = "end-point error (px)", "error (px)"
     return draw_error_map(
         error, limits, unit="px", label=label, legend=legend, axes=axes, title=title
@@ -125,9 +125,9 @@ def draw_depth_error(
     require_same_size("truth", true, "depth", recovered)
     low, high = check_error_limits(limits)
     error = np.full(true.shape, np.nan)
-    if (is_depth(true) & is_depth(recovered)).any():
+    if (valid_depth_mask(true) & valid_depth_mask(recovered)).any():
         error = 100 * depth_error_map(recovered, true)
-    title = _mean_of(error, "%") if title is None else title
+    title = _mean_title(error, "%") if title is None else title
     percent = (100 * low, 100 * high)
     label = "error of depth (%)", "error (%)"
     return draw_error_map(
@@ -145,8 +145,8 @@ def draw_calibration(
 ) -> Axes:
     """Draw the share of depth errors within a number of standard deviations.
 
-    With right deviations the curve is that of normal errors: 68 % within one standard deviation,
-    95 % within two. A lower curve means that the deviations are too small.
+    If the deviations are right, the curve is the curve of normal errors: 68 % are within one
+    standard deviation, 95 % within two. A lower curve means that the deviations are too small.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def draw_calibration(
     Returns
     -------
     matplotlib.axes.Axes
-        The axes of the picture.
+        The axes of the plot.
 
     Raises
     ------
@@ -187,20 +187,20 @@ def draw_calibration(
     )
     true = as_map("truth", truth)
     ratios = error_in_deviations(estimate, deviation, true)
-    times = np.linspace(0, _MAX_DEVIATIONS, _CURVE_POINTS)
-    covered = 100 * np.searchsorted(np.sort(ratios), times, side="right") / len(ratios)
-    expected = [100 * math.erf(time / math.sqrt(2)) for time in times]
+    thresholds = np.linspace(0, _MAX_DEVIATIONS, _CURVE_POINTS)
+    measured = 100 * np.searchsorted(np.sort(ratios), thresholds, side="right") / len(ratios)
+    expected = [100 * math.erf(threshold / math.sqrt(2)) for threshold in thresholds]
     target = plot_axes(4.4, 3.4) if axes is None else axes
     sizes = style_plot(target, title)
     target.plot(
-        times, expected, color=INK, linewidth=sizes.line, linestyle="--", label="normal errors"
+        thresholds, expected, color=INK, linewidth=sizes.line, linestyle="--", label="normal errors"
     )
     target.plot(
-        times,
-        covered,
+        thresholds,
+        measured,
         color=ESTIMATE,
         linewidth=1.6 * sizes.line,
-        label=f"found: {100 * (ratios <= 1).mean():.0f} % within one",
+        label=f"measured: {100 * (ratios <= 1).mean():.0f} % within one",
     )
     target.axvline(1.0, color=FAINT, linewidth=0.5 * sizes.line, linestyle=":")
     target.set(xlim=(0, _MAX_DEVIATIONS), ylim=(0, 102), xticks=(0, 1, 2, 3))
@@ -210,10 +210,14 @@ def draw_calibration(
     return target
 
 
-def _mean_of(error: NDArray[np.floating], unit: str) -> str:
+def _mean_title(error: NDArray[np.floating], unit: str) -> str:
     """Return a title with the mean of the known errors."""
-    known = error[np.isfinite(error)]
-    return f"mean {known.mean():.3g} {unit}" if known.size else "no truth to compare with"
+    known_errors = error[np.isfinite(error)]
+    return (
+        f"mean {known_errors.mean():.3g} {unit}"
+        if known_errors.size
+        else "no truth to compare with"
+    )
 
 
 def draw_error_map(
@@ -221,7 +225,7 @@ def draw_error_map(
     limits: tuple[float, float],
     *,
     unit: str,
-    label: tuple[str, str],
+    label: tuple[str, str],  # long and short label of the bar
     legend: bool = True,
     axes: Axes | None = None,
     title: str | None = None,

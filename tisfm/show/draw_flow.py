@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 # Numbers set by hand.
 _WHEEL_PIXELS = 400  # width of the colour wheel beside a picture, px
-_FRAME_BRIGHTNESS = 0.6  # brightness of a frame under arrows, as a share
-_ARROW_SPACING = 0.17  # inches, in a panel of the size that `panel_size` gives
-_ARROW_LENGTH = 2.0  # arrow of a motion as long as the limit, over the spacing of arrows
-_MAX_ARROW = 3.0  # longest motion of an arrow, over the limit
+_FRAME_BRIGHTNESS = 0.6  # factor of the grey levels of a frame under arrows
+_ARROW_SPACING = 0.17  # inches between arrows, in a panel of the size that `panel_size` returns
+_LIMIT_ARROW_SPACINGS = 2.0  # length of the arrow of a motion at the limit, over the arrow spacing
+_MAX_MOTION_LIMITS = 3.0  # motion whose arrow has the maximum length, over the limit
 ARROW_STYLE: dict[str, Any] = {
     "angles": "xy",
     "scale_units": "xy",
@@ -49,9 +49,10 @@ def draw_flow(
 ) -> Axes:
     """Draw image motion in the colours of `flow_to_color`, with the colour wheel.
 
-    The wheel is that of the Middlebury benchmark, so that pictures can be compared with those of
-    other projects. Its hues are not perceptually uniform, and some look alike with a colour vision
-    deficiency. Where this matters, draw errors or lengths (`draw_flow_error`, `flow_radius`).
+    The wheel is the wheel of the Middlebury benchmark, so that pictures can be compared with
+    pictures of other projects. Its hues are not perceptually uniform, and some look alike with a
+    colour vision deficiency. Where this matters, draw errors or lengths (`draw_flow_error`,
+    `flow_radius`).
 
     Parameters
     ----------
@@ -115,7 +116,7 @@ def draw_arrows(
         Axes to draw into; by default those of a new figure, ``axes.figure``.
     limit : float, optional
         Motion, px/frame, whose arrow is two grid steps long; by default the 98th percentile of the
-        length. No arrow is longer than three times that; at 0 there are no arrows.
+        length of the motion. No arrow is longer than six grid steps. At 0 there are no arrows.
     title : str, optional
         Text above the picture.
 
@@ -146,15 +147,15 @@ def draw_arrows(
     step, magnification = arrow_scale(values.shape[:2], top)
     arrows = quiver_points(values, step)
     length = np.hypot(arrows.u, arrows.v)
-    # One wrong, very long vector would be drawn across everything else.
-    factor = magnification * np.minimum(1, _MAX_ARROW * top / np.maximum(length, top))
+    # Without this bound, one wrong, very long vector would cross the whole picture.
+    factor = magnification * np.minimum(1, _MAX_MOTION_LIMITS * top / np.maximum(length, top))
     target.quiver(arrows.x, arrows.y, arrows.u * factor, arrows.v * factor, **ARROW_STYLE)
     return target
 
 
 def arrow_scale(
     shape: tuple[int, int],  # height and width of the picture, px
-    limit: float,  # motion that counts as long, px/frame; above 0
+    limit: float,  # motion whose arrow is two spacings long, px/frame; above 0
 ) -> tuple[int, float]:
     """Choose the grid and the length of the arrows over a picture.
 
@@ -163,7 +164,7 @@ def arrow_scale(
     """
     pixels_per_inch = shape[1] / panel_size(*shape)[0]
     spacing = _ARROW_SPACING * pixels_per_inch
-    return max(1, round(spacing)), _ARROW_LENGTH * spacing / limit
+    return max(1, round(spacing)), _LIMIT_ARROW_SPACINGS * spacing / limit
 
 
 def _dim_frame(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -179,8 +180,8 @@ def _draw_wheel(axes: Axes, limit: float, sizes: Sizes) -> None:
     rim = f"{limit:.0f}" if limit >= 100 else f"{limit:.2g}"
     texts = [f"rim: ≥ {rim}", "px/frame"]
     diameter = min(0.2 * width, max(0.6 * height, 2.0 * sizes.inch))
-    wide = max(diameter, 0.62 * max(map(len, texts)) * sizes.inch)
-    space = legend_axes(axes, wide, 0.5 * sizes.inch)
+    width_inches = max(diameter, 0.62 * max(map(len, texts)) * sizes.inch)
+    space = legend_axes(axes, width_inches, 0.5 * sizes.inch)
     wheel = space.inset_axes((0.0, 0.3, 1.0, 0.7))
     wheel.imshow(color_wheel(_WHEEL_PIXELS), aspect="equal", interpolation="antialiased")
     wheel.set_anchor("S")

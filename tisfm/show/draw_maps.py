@@ -1,4 +1,4 @@
-"""Depth, labels, confidence and deviation of a frame, each with a legend, into axes."""
+"""Draw depth, labels, confidence and deviation of a frame, each with a legend, into axes."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from tisfm.show.color_maps import (
     uncertainty_to_color,
 )
 from tisfm.show.labels import label_overlay
-from tisfm.show.mosaic import WIDE
+from tisfm.show.mosaic import MIN_WIDE_RATIO
 from tisfm.show.palette import FAINT, HIDDEN, INK, as_hex, color_ramp, colors_of_categories
 from tisfm.show.ticks import depth_ticks, doublings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-GREYS = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)  # far to near
-_MAX_LABELS = 16  # of a legend, set by hand: further labels are only counted
+GREY_RAMP = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)  # far to near
+_MAX_LABELS = 16  # labels in a legend, which only counts further labels; set by hand
 
 
 def draw_image(
@@ -39,7 +39,7 @@ def draw_image(
     hidden: ArrayLike | None = None,
     title: str | None = None,
 ) -> Axes:
-    """Draw a picture, with pixels of a mask tinted red.
+    """Draw a picture, and tint the pixels of a mask red.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def draw_image(
     axes : matplotlib.axes.Axes, optional
         Axes to draw into; by default those of a new figure, ``axes.figure``.
     hidden : (H, W) array_like, optional
-        Nonzero for pixels to tint, such as those that are not visible in the next frame.
+        Nonzero for pixels to tint, such as pixels that are not visible in the next frame.
     title : str, optional
         Text above the picture.
 
@@ -129,7 +129,7 @@ def draw_depth(
     values = as_map("inverse_depth", inverse_depth)
     top = inverse_depth_limit(values) if limit is None else check_limit("limit", limit)
     label = f"depth Z ({unit})", f"Z ({unit})"
-    bar = Bar(ramp=GREYS if grey else color_ramp("depth"), ticks=depth_ticks(top), label=label)
+    bar = Bar(ramp=GREY_RAMP if grey else color_ramp("depth"), ticks=depth_ticks(top), label=label)
     picture = depth_grey(values, limit=top) if grey else depth_to_color(values, limit=top)
     return draw_with_bar(picture, bar if legend else None, axes, title)
 
@@ -186,7 +186,7 @@ def draw_uncertainty(
     legend: bool = True,
     title: str | None = None,
 ) -> Axes:
-    """Draw the relative standard deviation of the depth, as `uncertainty_to_color` shows it.
+    """Draw the relative standard deviation of the depth in the colours of `uncertainty_to_color`.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ def draw_labels(
     legend: bool = True,
     title: str | None = None,
 ) -> Axes:
-    """Draw labels over a picture, as `label_overlay` does, with a list of their colours.
+    """Draw labels over a picture, as `label_overlay` does, with a legend of their colours.
 
     Parameters
     ----------
@@ -272,16 +272,16 @@ def draw_labels(
     >>> save_figure("labels.png", axes.figure, dpi=60)
     """
     picture = label_overlay(image, labels)
-    found = [int(label) for label in np.unique(np.asarray(labels))]
+    present_labels = [int(label) for label in np.unique(np.asarray(labels))]
     target = picture_axes(*picture.shape[:2]) if axes is None else axes
     sizes = show_picture(target, picture, title)
     if not legend:
         return target
-    texts = [names[k] if k < len(names) else str(k) for k in found[:_MAX_LABELS]]
-    if len(found) > _MAX_LABELS:
-        texts.append(f"{len(found) - _MAX_LABELS} more")
+    texts = [names[k] if k < len(names) else str(k) for k in present_labels[:_MAX_LABELS]]
+    if len(present_labels) > _MAX_LABELS:
+        texts.append(f"{len(present_labels) - _MAX_LABELS} more")
     space = legend_axes(target, (0.65 * max(map(len, texts)) + 2.2) * sizes.inch, 0.5 * sizes.inch)
-    colors = colors_of_categories(np.array(found))
+    colors = colors_of_categories(np.array(present_labels))
     from matplotlib.patches import Patch
 
     patches = [
@@ -290,7 +290,7 @@ def draw_labels(
         else Patch(facecolor="none", edgecolor="none")
         for k in range(len(texts))
     ]
-    listed = space.legend(
+    label_list = space.legend(
         patches,
         texts,
         loc="center left",
@@ -304,7 +304,7 @@ def draw_labels(
         handletextpad=0.5,
         labelspacing=0.3,
     )
-    without_formulas(listed)
+    without_formulas(label_list)
     return target
 
 
@@ -312,7 +312,7 @@ def draw_labels(
 class Bar:
     """A bar of colours beside or below a picture."""
 
-    ramp: NDArray[np.uint8]  # (N, 3) uint8: colours from the least to the greatest value
+    ramp: NDArray[np.uint8]  # (N, 3) uint8: colours from the smallest to the largest value
     # sequence of (float, str): positions along the bar, from 0 to 1, and their labels
     ticks: Sequence[tuple[float, str]]
     label: tuple[str, str]  # (str, str): quantity and unit, in a long and a short form
@@ -321,14 +321,22 @@ class Bar:
 def draw_with_bar(
     picture: NDArray[np.uint8], bar: Bar | None, axes: Axes | None, title: str | None
 ) -> Axes:
-    """Draw a picture, with the bar of its colours if there is one."""
+    """Draw a picture, with a bar of its colours unless `bar` is None."""
     height, width = picture.shape[:2]
-    below = width >= WIDE * height
-    target = picture_axes(height, width, below=below) if axes is None else axes
+    is_below = width >= MIN_WIDE_RATIO * height
+    target = picture_axes(height, width, legend_below=is_below) if axes is None else axes
     sizes = show_picture(target, picture, title)
     if bar is not None:
-        long, short = bar.label
-        draw_bar(target, bar.ramp, bar.ticks, label=long, short=short, sizes=sizes, below=below)
+        label, short_label = bar.label
+        draw_bar(
+            target,
+            bar.ramp,
+            bar.ticks,
+            label=label,
+            short_label=short_label,
+            sizes=sizes,
+            is_below=is_below,
+        )
     return target
 
 

@@ -13,7 +13,7 @@ from tisfm.errors import InputError
 from tisfm.metrics import Similarity, align
 from tisfm.show.axes import (
     Sizes,
-    few_ticks,
+    limit_ticks,
     name_axis,
     plot_axes,
     style_plot,
@@ -29,13 +29,14 @@ if TYPE_CHECKING:
 PathView = Literal["above", "side"]
 
 # Set by hand.
-_MAX_POINTS = 2000  # of a drawn line
-_SHADE_RANGE = 40, 215  # of 256 levels of the ramp: its ends are invisible on dark or light pages
-_HALF_SIDE_RATIO = 0.58  # half side of the plot, in largest extents of the path
-_MAX_LEGEND_WIDTH = 0.7  # of the width of the axes
-_MIN_EXTENT = 0.35  # least extent shown, in largest extents in space: small motion is not enlarged
+_MAX_POINTS = 2000  # points of a drawn line
+_SHADE_RANGE = 40, 215  # levels of the ramp, 0 to 255, that are visible on dark and light pages
+_HALF_SIDE_RATIO = 0.58  # half side of the plot over the largest extent of the path
+_MAX_LEGEND_WIDTH = 0.7  # width of a legend inside the axes, over the width of the axes
+# Extent of the plot over the largest extent of the path in space: small motion is not enlarged.
+_MIN_EXTENT = 0.35
 
-# The coordinates along both axes with their signs, and the names of the axes.
+# For both axes of a plot: index and sign of the coordinate in space; then the names of both axes.
 _VIEWS: dict[PathView, tuple[tuple[int, int], tuple[int, int], str, str]] = {
     "above": ((0, 1), (2, 1), "X, right", "Z, forward"),
     "side": ((2, 1), (1, -1), "Z, forward", "−Y, up"),
@@ -55,7 +56,7 @@ def draw_path(
     """Draw the path of a camera, and the true path if it is given.
 
     The path begins at the circle and ends at the square; early parts are dark, late parts light.
-    The axes are those of the first camera: of the true path if it is given, else of the path.
+    The axes are the axes of the first camera of the true path if it is given, else of the path.
 
     Parameters
     ----------
@@ -66,11 +67,12 @@ def draw_path(
     view : {"above", "side"}
         From above, Z over X, or from the right side, up over Z.
     truth : (N, 4, 4) array_like, optional
-        True poses, NaN if unknown. Each piece is aligned to them by a similarity
+        True poses, NaN if unknown. Each piece is aligned to the true poses by a similarity
         (`tisfm.metrics.align`), and drawn in their unit.
     piece : (N,) array_like of int, optional
-        Piece of each frame; each piece has its own scale; below 0 for no piece. Without true poses
-        only the largest piece is drawn, because the scales of the pieces differ.
+        Number of the piece of each frame; below 0 for no piece. The frames of a piece are connected
+        and share a scale. Without true poses only the largest piece is drawn, because the scales of
+        the pieces differ.
     unit : str
         Unit of the drawn positions.
     title : str, optional
@@ -122,14 +124,14 @@ def draw_path(
         similarity = align(path[has_both, :3, 3], true[has_both, :3, 3])
         lines.append(similarity.apply(path[in_piece, :3, 3]))
         errors.append(similarity.apply(path[has_both, :3, 3]) - true[has_both, :3, 3])
-    true_posed = true[_has_pose(true)]
+    true_poses = true[_has_pose(true)]
     name = "no pose to compare"
     if lines:
         rmse = float(np.sqrt(np.square(np.concatenate(errors)).sum(axis=1).mean()))
         name = f"path, rmse {rmse:.3g} {unit}"
-    if len(true_posed):
-        lines = _to_camera_axes(lines, true_posed[0])
-        (true_line,) = _to_camera_axes([true_posed[:, :3, 3]], true_posed[0])
+    if len(true_poses):
+        lines = _to_camera_axes(lines, true_poses[0])
+        (true_line,) = _to_camera_axes([true_poses[:, :3, 3]], true_poses[0])
         _draw_camera_paths(target, sizes, lines, [true_line], view, unit, name)
     else:
         _draw_camera_paths(target, sizes, [], [], view, unit, "no true pose")
@@ -151,13 +153,13 @@ def draw_object_paths(
     ----------
     objects : mapping of int to (n, 4, 4) array_like
         Poses of each object, object to world, by its number; NaN if unknown. For a reconstruction:
-        ``{one.id: one.poses for one in result.objects}``.
+        ``{item.id: item.poses for item in result.objects}``.
     axes : matplotlib.axes.Axes, optional
         Axes to draw into; by default those of a new figure, ``axes.figure``.
     view : {"above", "side"}
         As for `draw_path`.
     camera : (N, 4, 4) array_like, optional
-        Poses of the camera, to draw its path as well.
+        Poses of the camera, to draw its path too.
     unit : str
         Unit of the drawn positions.
     title : str, optional
@@ -207,15 +209,15 @@ def draw_object_paths(
     if not positions:
         write_inside(target, sizes, "no object has a pose")
     if lines:
-        _legend(target, sizes)
+        _draw_legend(target, sizes)
     return target
 
 
 def _draw_camera_paths(
     axes: Axes,
     sizes: Sizes,
-    lines: list[NDArray[np.float64]],
-    truth: list[NDArray[np.float64]],
+    lines: list[NDArray[np.float64]],  # (n, 3) positions of each piece
+    true_lines: list[NDArray[np.float64]],  # the same of the true path, if known
     view: PathView,
     unit: str,
     name: str,
@@ -224,19 +226,19 @@ def _draw_camera_paths(
     from matplotlib.lines import Line2D
 
     handles = []
-    for line in truth:
+    for line in true_lines:
         _draw_line(axes, line, view, sizes, color=INK, style="--", name="truth")
         handles.append(Line2D([], [], color=INK, linestyle="--", linewidth=sizes.line))
     for line in lines:
         _draw_shaded_line(axes, line, view, sizes)
         _mark_ends(axes, line, view, sizes, colors=(ESTIMATE, OTHER))
-    _set_up_axes(axes, sizes, [*lines, *truth], view, unit)
+    _set_up_axes(axes, sizes, [*lines, *true_lines], view, unit)
     if not lines:
         write_inside(axes, sizes, "no pose" if name == "path" else name)
         return
     middle = as_hex(color_ramp("confidence")[sum(_SHADE_RANGE) // 2])
     handles.append(Line2D([], [], color=middle, linewidth=2 * sizes.line))
-    _legend(axes, sizes, handles, ["truth"] * len(truth) + [name])
+    _draw_legend(axes, sizes, handles, ["truth"] * len(true_lines) + [name])
 
 
 def _draw_line(
@@ -302,10 +304,10 @@ def _set_up_axes(
     axes: Axes, sizes: Sizes, lines: list[NDArray[np.float64]], view: PathView, unit: str
 ) -> None:
     """Give both axes one scale, and name them."""
-    _, _, across, up = _VIEWS[view]
-    name_axis(axes, sizes, f"{across} ({unit})", f"{up} ({unit})")
+    _, _, x_name, y_name = _VIEWS[view]
+    name_axis(axes, sizes, f"{x_name} ({unit})", f"{y_name} ({unit})")
     axes.set_aspect("equal", adjustable="box")
-    few_ticks(axes, sizes)
+    limit_ticks(axes, sizes)
     if not lines:
         axes.set(xlim=(-1, 1), ylim=(-1, 1))
         return
@@ -318,10 +320,10 @@ def _set_up_axes(
         set_limits(middle - half_side, middle + half_side)
 
 
-def _legend(
+def _draw_legend(
     axes: Axes, sizes: Sizes, handles: list[Line2D] | None = None, names: Sequence[str] = ()
 ) -> None:
-    """Draw the legend inside the axes, or above them if it is wide."""
+    """Draw the legend inside the axes, or above the axes if the legend is wide."""
     legend_arguments = (handles, names) if handles is not None else ()
     longest_name = max(map(len, names or axes.get_legend_handles_labels()[1]))
     needed_width = (longest_name * 0.6 + 4) * sizes.inch * axes.figure.dpi
@@ -346,7 +348,7 @@ def _legend(
 def _to_camera_axes(
     lines: list[NDArray[np.float64]], camera_pose: NDArray[np.float64]
 ) -> list[NDArray[np.float64]]:
-    """Return positions in the axes of a camera of a given pose."""
+    """Return lines of positions, (n, 3) each, in the axes of a camera with a given pose."""
     to_camera = Similarity(
         scale=1.0,
         rotation=camera_pose[:3, :3].T,
@@ -359,12 +361,12 @@ def _project(
     positions: NDArray[np.float64], view: PathView
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the coordinates of positions, (M, 3), along both axes of a view."""
-    (across, to_right), (up, upwards), _, _ = _VIEWS[view]
-    return to_right * positions[:, across], upwards * positions[:, up]
+    (x_index, x_sign), (y_index, y_sign), _, _ = _VIEWS[view]
+    return x_sign * positions[:, x_index], y_sign * positions[:, y_index]
 
 
 def _subsample(positions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return evenly spaced positions, few enough to draw fast, with the first and last."""
+    """Return at most `_MAX_POINTS` positions, in even steps, with the first and the last."""
     indices = np.unique(np.linspace(0, len(positions) - 1, _MAX_POINTS).astype(int))
     return positions[indices]
 
@@ -385,7 +387,9 @@ def _check_piece(piece: ArrayLike) -> NDArray[np.integer]:
     if array.ndim != 1:
         raise InputError(f"piece has the shape {array.shape}, expected (N,)")
     if array.dtype.kind not in "iu" and array.size:
-        raise InputError(f"piece has dtype {array.dtype}, expected integers, below 0 for none")
+        raise InputError(
+            f"piece has dtype {array.dtype}, expected integers, below 0 for frames of no piece"
+        )
     return array.astype(np.int64)  # a type with negative values
 
 

@@ -1,4 +1,4 @@
-"""Figures of errors: of a flow, and of a depth beside the true one."""
+"""Figures of the errors of a flow, and of a depth beside the true depth."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.metrics import depth_error_map, depth_errors
-from tisfm.show.arrays import as_flow, as_map, check_limit, is_depth, require_same_size
+from tisfm.show.arrays import as_flow, as_map, check_limit, require_same_size, valid_depth_mask
 from tisfm.show.color_maps import (
     DEPTH_ERROR_RANGE,
     ERROR_RANGE,
@@ -21,7 +21,7 @@ from tisfm.show.draw_flow import draw_flow
 from tisfm.show.draw_maps import draw_depth
 from tisfm.show.flow import usual_length
 from tisfm.show.legends import depth_legend, error_legend, wheel_legend
-from tisfm.show.mosaic import WIDE, Panel, beside, mosaic
+from tisfm.show.mosaic import MIN_WIDE_RATIO, Panel, mosaic, side_by_side
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -109,7 +109,7 @@ def flow_figure(
         )
         for name, values in (("Recovered flow", recovered), ("True flow (black: unknown)", true))
     ]
-    return mosaic(_in_rows(panels), heading=title, legend=wheel_legend(top))
+    return mosaic(_arrange_rows(panels), heading=title, legend=wheel_legend(top))
 
 
 def depth_error_figure(
@@ -123,7 +123,7 @@ def depth_error_figure(
     """Show a depth beside the true depth on one scale, and the relative error.
 
     The depth is scaled by the median first, as by `tisfm.metrics.depth_errors`. Colours are
-    linear in inverse depth: near is bright, brightest at the 95th percentile of the truth.
+    linear in inverse depth: near is bright, and the 95th percentile of the truth is brightest.
     Errors have the colours of `error_to_color`, on a logarithmic scale.
 
     Parameters
@@ -160,8 +160,8 @@ def depth_error_figure(
     require_same_size("truth", true, "depth", recovered)
     low, high = check_error_limits(limits)
     scale = depth_errors(recovered, true).scale
-    true_inverse = _inverse(true)
-    top = inverse_depth_limit(true_inverse)
+    true_inverse_depth = _inverse_depth(true)
+    top = inverse_depth_limit(true_inverse_depth)
     percent = (100 * low, 100 * high)
     panels = [
         Panel(
@@ -170,14 +170,14 @@ def depth_error_figure(
             draw=partial(_draw_depth, inverse_depth=inverse_depth, limit=top),
         )
         for name, inverse_depth in (
-            ("Recovered depth (near is bright)", _inverse(recovered) / scale),
-            ("True depth (grey: unknown)", true_inverse),
+            ("Recovered depth (near is bright)", _inverse_depth(recovered) / scale),
+            ("True depth (grey: unknown)", true_inverse_depth),
         )
     ]
     error = 100 * depth_error_map(recovered, true)
     panels.append(_error_panel("Relative error (grey: unknown)", error, percent, "%"))
-    legend = beside([depth_legend(top, f"depth Z\n({unit})"), error_legend(percent, "%")])
-    return mosaic(_in_rows(panels), heading=title, legend=legend)
+    legend = side_by_side([depth_legend(top, f"depth Z\n({unit})"), error_legend(percent, "%")])
+    return mosaic(_arrange_rows(panels), heading=title, legend=legend)
 
 
 def _error_panel(
@@ -197,15 +197,15 @@ def _draw_depth(axes: Axes, *, inverse_depth: NDArray[np.floating], limit: float
     draw_depth(inverse_depth, axes=axes, limit=limit, legend=False)
 
 
-def _in_rows(panels: list[Panel]) -> list[list[Panel]]:
-    """Return panels side by side, wide ones below one another."""
+def _arrange_rows(panels: list[Panel]) -> list[list[Panel]]:
+    """Return rows of panels: wide panels below one another, others side by side."""
     height, width = panels[0].shape
-    return [panels] if width < WIDE * height else [[panel] for panel in panels]
+    return [panels] if width < MIN_WIDE_RATIO * height else [[panel] for panel in panels]
 
 
-def _inverse(depth: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+def _inverse_depth(depth: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
     """Return the inverse depth, NaN where there is no depth."""
-    known = is_depth(depth)
+    is_valid = valid_depth_mask(depth)
     inverse = np.full(depth.shape, np.nan)
-    np.divide(1.0, depth, out=inverse, where=known)
+    np.divide(1.0, depth, out=inverse, where=is_valid)
     return inverse

@@ -23,7 +23,7 @@ from tisfm.show.axes import show_picture
 from tisfm.show.color_maps import UNCERTAINTY_RANGE, inverse_depth_limit
 from tisfm.show.draw_flow import draw_arrows, draw_flow
 from tisfm.show.draw_maps import (
-    GREYS,
+    GREY_RAMP,
     draw_confidence,
     draw_depth,
     draw_image,
@@ -32,7 +32,7 @@ from tisfm.show.draw_maps import (
 )
 from tisfm.show.flow import usual_length
 from tisfm.show.legends import depth_legend, error_legend, flow_legend, label_legend
-from tisfm.show.mosaic import WIDE, Panel, beside, mosaic, panel_size, stacked
+from tisfm.show.mosaic import MIN_WIDE_RATIO, Panel, mosaic, panel_size, side_by_side, stack_legends
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,9 +47,9 @@ _TITLES = {
     "truth": "True flow",
 }
 _SUFFIXES = (".jpeg", ".jpg", ".pdf", ".png", ".svg", ".tif", ".tiff")
-# Without these entries, a file contains its time, and no two runs write the same file.
-_UNDATED = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
-_PANEL_FIGURE_RATIO = 1.6  # width over height of a figure of panels, set by hand
+# Without these entries, a file contains its time, and every run writes a different file.
+_METADATA_WITHOUT_DATES = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
+_PANEL_FIGURE_RATIO = 1.6  # width over height of a figure of panels; set by hand
 
 
 def comparison_figure(
@@ -83,15 +83,15 @@ def comparison_figure(
     occlusion : (H, W) array_like, optional
         Nonzero for pixels that are not visible in the next frame: red in the first panel.
     baseline_flow, truth_flow : (H, W, 2) array_like, optional
-        Flow of the Horn-Schunck method, and true flow, px/frame. Unknown are NaN and values
-        beyond 1e9.
+        Flow of the Horn-Schunck method, and true flow, px/frame. NaN and values beyond 1e9 are
+        unknown.
     truth_inverse_depth : (H, W) array_like, optional
         True inverse depth, in its own unit, shown with its own range.
     title : str, optional
         Heading of the figure.
     names : mapping, optional
-        Titles of panels to replace, by the keys "frame", "occlusion" (the frame, if `occlusion` is
-        given), "depth", "truth_depth", "flow", "baseline" and "truth".
+        Titles that replace default titles of panels, by the keys "frame", "occlusion" (the frame,
+        if `occlusion` is given), "depth", "truth_depth", "flow", "baseline" and "truth".
     depth_limit : float, optional
         Recovered inverse depth shown as white, by default its 95th percentile.
     flow_limit : float, optional
@@ -134,31 +134,33 @@ def comparison_figure(
     if truth_flow is not None:
         flows["truth"] = as_flow("truth_flow", truth_flow)
     true_depth = _optional_map("truth_inverse_depth", truth_inverse_depth)
-    hidden = None if occlusion is None else check_mask(occlusion, "occlusion")
+    hidden_mask = None if occlusion is None else check_mask(occlusion, "occlusion")
     arrays = {
         "inverse_depth": depth,
         "truth_inverse_depth": true_depth,
         **{name if name == "flow" else f"{name}_flow": values for name, values in flows.items()},
-        "occlusion": hidden,
+        "occlusion": hidden_mask,
     }
-    _require_size_of_frame(picture, arrays)
+    _require_frame_size(picture, arrays)
     limit = _flow_limit(flow_limit, flows.get("truth", flows["flow"]))
-    nearest = _depth_limit(depth_limit, depth)
+    max_inverse_depth = _depth_limit(depth_limit, depth)
     shape = (picture.shape[0], picture.shape[1])
 
-    first = [
+    first_row = [
         Panel(
-            title=titles["frame" if hidden is None else "occlusion"],
+            title=titles["frame" if hidden_mask is None else "occlusion"],
             shape=shape,
-            draw=lambda axes: draw_image(picture, hidden=hidden, axes=axes),
+            draw=lambda axes: draw_image(picture, hidden=hidden_mask, axes=axes),
         ),
-        _depth_panel(titles["depth"], depth, nearest, grey=True),
+        _depth_panel(titles["depth"], depth, max_inverse_depth, grey=True),
     ]
-    bars = [depth_legend(nearest, f"depth Z\n({unit})", ramp=GREYS)]
+    bars = [depth_legend(max_inverse_depth, f"depth Z\n({unit})", ramp=GREY_RAMP)]
     if true_depth is not None:
-        true_nearest = inverse_depth_limit(true_depth)
-        first.append(_depth_panel(titles["truth_depth"], true_depth, true_nearest, grey=True))
-        bars.append(depth_legend(true_nearest, "true Z\n(its unit)", ramp=GREYS))
+        true_max_inverse_depth = inverse_depth_limit(true_depth)
+        first_row.append(
+            _depth_panel(titles["truth_depth"], true_depth, true_max_inverse_depth, grey=True)
+        )
+        bars.append(depth_legend(true_max_inverse_depth, "true Z\n(its unit)", ramp=GREY_RAMP))
     arrows = [
         _arrow_panel(f"{titles[name]}, arrows", picture, values, limit)
         for name, values in flows.items()
@@ -167,9 +169,9 @@ def comparison_figure(
         _flow_panel(f"{titles[name]}, colours", values, limit) for name, values in flows.items()
     ]
     # A single flow has its arrows and colours side by side, like several flows.
-    below = [arrows + colors] if len(flows) == 1 else [arrows, colors]
-    legend = beside([*bars, flow_legend(shape, limit)])
-    return mosaic([first, *below], heading=title, legend=legend)
+    flow_rows = [arrows + colors] if len(flows) == 1 else [arrows, colors]
+    legend = side_by_side([*bars, flow_legend(shape, limit)])
+    return mosaic([first_row, *flow_rows], heading=title, legend=legend)
 
 
 def rigid_figure(
@@ -192,17 +194,17 @@ def rigid_figure(
 
     The first row has the frame, the labels if there are several, the depth in the colours of
     `depth_to_color`, the true depth if it is known, and the relative standard deviation of the
-    pixels that are visible in the next frame. The second row has the flow as arrows and as colours,
-    the true flow if it is known, and the confidence. Wide pictures stand two in a row, in the same
-    order.
+    depth of pixels that are visible in the next frame. The second row has the flow as arrows and as
+    colours, the true flow if it is known, and the confidence. Wide pictures stand two in a row, in
+    the same order.
 
     Parameters
     ----------
     frame : (H, W) or (H, W, 3) array_like
         The first frame: uint8, uint16 or float.
     inverse_depth, inverse_depth_std : (H, W) array_like
-        Inverse depth in any unit and its standard deviation. An inverse depth that is not positive
-        is no depth.
+        Inverse depth in any unit and its standard deviation. A pixel whose inverse depth is not
+        positive has no depth.
     flow : (H, W, 2) array_like
         Image motion, px/frame.
     confidence : (H, W) array_like
@@ -212,7 +214,7 @@ def rigid_figure(
     occlusion : (H, W) array_like, optional
         Nonzero for pixels that are not visible in the next frame: red in the first panel.
     truth_flow : (H, W, 2) array_like, optional
-        True flow, px/frame. Unknown are NaN and values beyond 1e9.
+        True flow, px/frame. NaN and values beyond 1e9 are unknown.
     truth_inverse_depth : (H, W) array_like, optional
         True inverse depth, in its own unit, shown with its own range.
     title : str, optional
@@ -251,91 +253,91 @@ def rigid_figure(
     picture = as_image("frame", frame)
     depth = as_map("inverse_depth", inverse_depth)
     deviation = as_map("inverse_depth_std", inverse_depth_std)
-    motion, trust = as_flow("flow", flow), as_map("confidence", confidence)
-    true_motion = None if truth_flow is None else as_flow("truth_flow", truth_flow)
+    image_flow, confidence_map = as_flow("flow", flow), as_map("confidence", confidence)
+    true_flow = None if truth_flow is None else as_flow("truth_flow", truth_flow)
     true_depth = _optional_map("truth_inverse_depth", truth_inverse_depth)
-    hidden = None if occlusion is None else check_mask(occlusion, "occlusion")
+    hidden_mask = None if occlusion is None else check_mask(occlusion, "occlusion")
     refuse_masked(labels, "labels", "fill them first, for instance by labels.filled(0)")
     arrays = {
         "inverse_depth": depth,
         "inverse_depth_std": deviation,
-        "flow": motion,
-        "confidence": trust,
-        "truth_flow": true_motion,
+        "flow": image_flow,
+        "confidence": confidence_map,
+        "truth_flow": true_flow,
         "truth_inverse_depth": true_depth,
-        "occlusion": hidden,
+        "occlusion": hidden_mask,
     }
-    _require_size_of_frame(picture, arrays)
-    limit = _flow_limit(flow_limit, motion if true_motion is None else true_motion)
-    nearest = _depth_limit(depth_limit, depth)
+    _require_frame_size(picture, arrays)
+    limit = _flow_limit(flow_limit, image_flow if true_flow is None else true_flow)
+    max_inverse_depth = _depth_limit(depth_limit, depth)
     shape = (picture.shape[0], picture.shape[1])
     numbers = [0] if labels is None else [int(label) for label in np.unique(labels)]
 
-    first = [
+    first_row = [
         Panel(
-            title=_TITLES["frame" if hidden is None else "occlusion"],
+            title=_TITLES["frame" if hidden_mask is None else "occlusion"],
             shape=shape,
-            draw=lambda axes: draw_image(picture, hidden=hidden, axes=axes),
+            draw=lambda axes: draw_image(picture, hidden=hidden_mask, axes=axes),
         )
     ]
     legends = []
     if labels is not None and numbers[-1] > 0:
         draw = partial(draw_labels, picture, labels)
-        first.append(
+        first_row.append(
             Panel(title="Motions", shape=shape, draw=lambda axes: draw(axes=axes, legend=False))
         )
         names = ["0, background" if label == 0 else str(label) for label in numbers]
         legends.append(label_legend(numbers, names))
-    depth_title = "Depth (near is bright)" if (depth > 0).any() else "Depth: none to be seen"
-    first.append(_depth_panel(depth_title, depth, nearest))
-    bars = [depth_legend(nearest, f"depth Z\n({unit})")]
+    depth_title = "Depth (near is bright)" if (depth > 0).any() else "Depth: no pixel has a depth"
+    first_row.append(_depth_panel(depth_title, depth, max_inverse_depth))
+    bars = [depth_legend(max_inverse_depth, f"depth Z\n({unit})")]
     if true_depth is not None:
-        true_nearest = inverse_depth_limit(true_depth)
-        first.append(_depth_panel(_TITLES["truth_depth"], true_depth, true_nearest))
-        bars.append(depth_legend(true_nearest, "true Z\n(its unit)"))
-    if hidden is not None:  # the deviation is that of visible pixels
-        deviation = np.where(hidden, np.inf, deviation)
-    first.append(
+        true_max_inverse_depth = inverse_depth_limit(true_depth)
+        first_row.append(_depth_panel(_TITLES["truth_depth"], true_depth, true_max_inverse_depth))
+        bars.append(depth_legend(true_max_inverse_depth, "true Z\n(its unit)"))
+    if hidden_mask is not None:  # the deviation holds for visible pixels only
+        deviation = np.where(hidden_mask, np.inf, deviation)
+    first_row.append(
         Panel(
             title="Uncertainty of the depth (grey: unknown)",
             shape=shape,
             draw=lambda axes: draw_uncertainty(depth, deviation, axes=axes, legend=False),
         )
     )
-    second = [
-        _arrow_panel("Flow, arrows", picture, motion, limit),
-        _flow_panel("Flow, colours", motion, limit),
+    second_row = [
+        _arrow_panel("Flow, arrows", picture, image_flow, limit),
+        _flow_panel("Flow, colours", image_flow, limit),
     ]
-    if true_motion is not None:
-        second.append(_flow_panel("True flow, colours", true_motion, limit))
-    second.append(
+    if true_flow is not None:
+        second_row.append(_flow_panel("True flow, colours", true_flow, limit))
+    second_row.append(
         Panel(
             title="Confidence (yellow: 1)",
             shape=shape,
-            draw=lambda axes: draw_confidence(trust, axes=axes, legend=False),
+            draw=lambda axes: draw_confidence(confidence_map, axes=axes, legend=False),
         )
     )
-    rows = [first, second]
-    if shape[1] >= WIDE * shape[0]:
-        panels = first + second
+    rows = [first_row, second_row]
+    if shape[1] >= MIN_WIDE_RATIO * shape[0]:
+        panels = first_row + second_row
         rows = [panels[k : k + 2] for k in range(0, len(panels), 2)]
     low, high = UNCERTAINTY_RANGE
     bars.append(error_legend((100 * low, 100 * high), "%"))
-    legend = stacked([*legends, beside(bars), flow_legend(shape, limit)])
+    legend = stack_legends([*legends, side_by_side(bars), flow_legend(shape, limit)])
     return mosaic(rows, heading=title, legend=legend)
 
 
 def panel_figure(
     panels: Sequence[tuple[str, ArrayLike]], *, columns: int | None = None, title: str | None = None
 ) -> Figure:
-    """Show pictures side by side, such as the depth at two settings (Fig. 6 and 8 of the paper).
+    """Show pictures side by side, such as depths with two settings (Fig. 6 and 8 of the paper).
 
     Parameters
     ----------
     panels : sequence of (str, array_like)
         Titles and pictures, (H, W) or (H, W, 3), uint8, uint16 or float. Sizes may differ. Floats
-        are brought to grey levels picture by picture: to compare two depths, make both by
-        `depth_grey` with one limit.
+        of each picture are converted to grey levels separately: to compare two depths, convert both
+        by `depth_grey` with the same limit.
     columns : int, optional
         Pictures in a row. By default the figure is about 1.6 times as wide as high; two or three
         pictures are always side by side.
@@ -367,16 +369,18 @@ def panel_figure(
         columns = _default_columns([image for _, image in images])
     if columns < 1:
         raise InputError(f"columns is {columns}, expected 1 or more")
-    shown = [
+    titled_panels = [
         Panel(title=name, shape=image.shape[:2], draw=partial(show_picture, image=image))
         for name, image in images
     ]
-    rows = [shown[first : first + columns] for first in range(0, len(shown), columns)]
+    rows = [
+        titled_panels[first : first + columns] for first in range(0, len(titled_panels), columns)
+    ]
     return mosaic(rows, heading=title)
 
 
 def save_figure(path: str | os.PathLike[str], figure: Figure, dpi: float = 150) -> None:
-    """Save a figure, whole or not at all, in the format that the suffix names.
+    """Save a figure in the format of the suffix. A failed save leaves no partial file.
 
     Parameters
     ----------
@@ -390,7 +394,7 @@ def save_figure(path: str | os.PathLike[str], figure: Figure, dpi: float = 150) 
     Raises
     ------
     ValueError
-        If the suffix is none of these or `dpi` is not positive.
+        If the suffix is unknown or `dpi` is not positive.
     OSError
         If the file cannot be written.
 
@@ -408,7 +412,9 @@ def save_figure(path: str | os.PathLike[str], figure: Figure, dpi: float = 150) 
     if not (math.isfinite(dpi) and dpi > 0):
         raise InputError(f"dpi is {dpi!r}, expected a finite positive number")
     with atomic_write(path) as file:
-        figure.savefig(file, format=suffix[1:], dpi=dpi, metadata=_UNDATED.get(suffix))
+        figure.savefig(
+            file, format=suffix[1:], dpi=dpi, metadata=_METADATA_WITHOUT_DATES.get(suffix)
+        )
 
 
 def _depth_panel(
@@ -437,7 +443,7 @@ def _optional_map(name: str, values: ArrayLike | None) -> NDArray[np.floating] |
     return None if values is None else as_map(name, values)
 
 
-def _require_size_of_frame(
+def _require_frame_size(
     frame: NDArray[np.generic], arrays: Mapping[str, NDArray[np.generic] | None]
 ) -> None:
     for name, array in arrays.items():
@@ -456,7 +462,7 @@ def _depth_limit(limit: float | None, inverse_depth: NDArray[np.floating]) -> fl
 
 
 def _titles(names: Mapping[str, str] | None) -> dict[str, str]:
-    """Return the titles of the panels, with those that the caller changed."""
+    """Return the titles of the panels, with the changes of the caller."""
     changes = dict(names or {})
     unknown = sorted(set(changes) - set(_TITLES))
     if unknown:
@@ -465,13 +471,15 @@ def _titles(names: Mapping[str, str] | None) -> dict[str, str]:
 
 
 def _default_columns(images: Sequence[NDArray[np.uint8]]) -> int:
-    """Return the number of columns that brings a figure nearest to a fixed ratio of sides."""
+    """Return the number of columns for the ratio of sides nearest to `_PANEL_FIGURE_RATIO`."""
     count = len(images)
     if count <= 3:
         return count
     width, height = np.mean([panel_size(*image.shape[:2]) for image in images], axis=0)
-    shapes = {
+    side_ratios = {
         columns: columns * width / (math.ceil(count / columns) * height)
         for columns in range(1, count + 1)
     }
-    return min(shapes, key=lambda columns: abs(math.log(shapes[columns] / _PANEL_FIGURE_RATIO)))
+    return min(
+        side_ratios, key=lambda columns: abs(math.log(side_ratios[columns] / _PANEL_FIGURE_RATIO))
+    )

@@ -26,7 +26,7 @@ _BRIGHTNESS_BEYOND_LIMIT = 0.75  # brightness of motion beyond the limit, as in 
 
 
 class Arrows(NamedTuple):
-    """Arrows of a flow field on a regular grid, four arrays of one length N.
+    """Arrows of a flow field on a regular grid: four arrays of the same length.
 
     Examples
     --------
@@ -64,10 +64,10 @@ def flow_radius(flow: ArrayLike) -> NDArray[np.floating[Any]]:
     [[5.0]]
     """
     values = as_flow("flow", flow)
-    known = is_known(values[..., 0]) & is_known(values[..., 1])
-    values = np.where(known[..., None], values, 0)
+    is_known_flow = is_known(values[..., 0]) & is_known(values[..., 1])
+    values = np.where(is_known_flow[..., None], values, 0)
     radius = np.hypot(values[..., 0], values[..., 1])
-    radius[~known] = np.nan
+    radius[~is_known_flow] = np.nan
     return radius
 
 
@@ -82,7 +82,7 @@ def usual_length(flow: ArrayLike) -> float:
     Returns
     -------
     float
-        The percentile over known vectors, px; 0.0 if no vector is known.
+        The percentile over known vectors, px; 0.0 if all vectors are unknown.
 
     Examples
     --------
@@ -92,8 +92,8 @@ def usual_length(flow: ArrayLike) -> float:
     True
     """
     radius = flow_radius(flow)
-    known = radius[np.isfinite(radius)]
-    return float(np.percentile(known, FLOW_PERCENTILE)) if known.size else 0.0
+    known_lengths = radius[np.isfinite(radius)]
+    return float(np.percentile(known_lengths, FLOW_PERCENTILE)) if known_lengths.size else 0.0
 
 
 def flow_to_color(
@@ -102,7 +102,8 @@ def flow_to_color(
     """Show flow as colours: direction as hue, length as saturation.
 
     No motion is white. Motion to the right is red, downwards yellow, to the left cyan to blue and
-    upwards violet, fully saturated at `limit`. Longer motion is darkened by 0.75, or not.
+    upwards violet. Colours are fully saturated at `limit`. Longer motion is darkened by the factor
+    0.75, or has the colour of the limit.
 
     Parameters
     ----------
@@ -110,10 +111,10 @@ def flow_to_color(
         Flow (u, v), px, v downwards. Unknown flow, NaN or beyond 1e9, is black.
     limit : float, optional
         Length of full saturation, px. By default the greatest known length, so that no motion is
-        darkened. Give pictures to be compared, and all frames of a sequence, the same limit.
+        darkened. Give the same limit for all frames of a sequence, and for pictures to compare.
     beyond : {"darker", "same"}
-        Colour of longer motion: darker, as in the benchmark, or that of the limit, which avoids
-        false edges if the limit is a percentile.
+        Colour of motion beyond the limit: darker, as in the benchmark, or the colour of the limit,
+        which avoids false edges if the limit is a percentile.
 
     Returns
     -------
@@ -128,8 +129,8 @@ def flow_to_color(
     Notes
     -----
     The wheel of Baker et al. has 55 hues. Here the last hue runs into the first, so that the colour
-    of flow to the right does not jump with the sign of v. Published pictures differ from these by
-    at most one of the 55 steps of hue.
+    of flow to the right does not jump with the sign of v. Published pictures differ from
+    pictures of this function by at most one of the 55 steps of hue.
 
     References
     ----------
@@ -147,20 +148,20 @@ def flow_to_color(
     if beyond not in ("darker", "same"):
         raise InputError(f"beyond is {beyond!r}, expected darker or same")
     radius = flow_radius(values)
-    known = np.isfinite(radius)
+    is_known_flow = np.isfinite(radius)
     if limit is None:
-        top = float(np.max(radius, where=known, initial=0.0))
+        top = float(np.max(radius, where=is_known_flow, initial=0.0))
     else:
         top = check_limit("limit", limit)
-    u = np.where(known, values[..., 0], 0)
-    v = np.where(known, values[..., 1], 0)
+    u = np.where(is_known_flow, values[..., 0], 0)
+    v = np.where(is_known_flow, values[..., 1], 0)
     hue = _hue(u, v)
     # With a limit of 0, motion is either zero or beyond the limit.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         share = np.where(radius > 0, np.minimum(radius / top, 2), 0)[..., None].astype(np.float32)
-    last = hue * np.float32(_BRIGHTNESS_BEYOND_LIMIT) if beyond == "darker" else hue
-    color = np.where(share <= 1, 255 - share * (255 - hue), last)
-    color[~known] = 0
+    color_beyond = hue * np.float32(_BRIGHTNESS_BEYOND_LIMIT) if beyond == "darker" else hue
+    color = np.where(share <= 1, 255 - share * (255 - hue), color_beyond)
+    color[~is_known_flow] = 0
     return np.rint(color).astype(np.uint8)
 
 
@@ -193,10 +194,10 @@ def color_wheel(size: int) -> NDArray[np.uint8]:
     axis = (np.arange(size, dtype=np.float32) - (size - 1) / 2) * (2 / size)
     flow = np.stack(np.meshgrid(axis, axis), axis=2)
     radius = np.hypot(flow[..., 0], flow[..., 1])
-    # Pixels beyond the rim have its hue, so that the rim blends into white.
+    # Pixels beyond the rim have the hue of the rim, so that the rim blends into white.
     color = flow_to_color(flow / np.maximum(radius, 1)[..., None], limit=1 + 1e-6)
-    cover = np.clip((1 - radius) * (size / 2) + 0.5, 0, 1)[..., None]
-    return np.rint(255 + cover * (color.astype(np.float32) - 255)).astype(np.uint8)
+    opacity = np.clip((1 - radius) * (size / 2) + 0.5, 0, 1)[..., None]
+    return np.rint(255 + opacity * (color.astype(np.float32) - 255)).astype(np.uint8)
 
 
 def quiver_points(flow: ArrayLike, step: int) -> Arrows:
@@ -207,7 +208,7 @@ def quiver_points(flow: ArrayLike, step: int) -> Arrows:
     flow : (H, W, 2) array_like
         Flow (u, v), px. Nodes of unknown flow, NaN or beyond 1e9, are left out.
     step : int
-        Distance of the nodes, px.
+        Distance between nodes, px.
 
     Returns
     -------
@@ -233,12 +234,14 @@ def quiver_points(flow: ArrayLike, step: int) -> Arrows:
     rows, columns = (_centred_nodes(length, step) for length in values.shape[:2])
     y, x = (grid.ravel() for grid in np.meshgrid(rows, columns, indexing="ij"))
     tails = values[y, x]
-    known = is_known(tails[:, 0]) & is_known(tails[:, 1])
-    return Arrows(x[known], y[known], tails[known, 0], tails[known, 1])
+    is_known_flow = is_known(tails[:, 0]) & is_known(tails[:, 1])
+    return Arrows(
+        x[is_known_flow], y[is_known_flow], tails[is_known_flow, 0], tails[is_known_flow, 1]
+    )
 
 
 def _centred_nodes(length: int, step: int) -> NDArray[np.intp]:
-    """Return the nodes of a grid in a length, about half a step from both ends."""
+    """Return node positions along a length, px, about half a step from both ends."""
     count = max(1, length // step)
     return (length - 1 - (count - 1) * step) // 2 + step * np.arange(count)
 
@@ -248,9 +251,9 @@ def _hue(u: NDArray[Any], v: NDArray[Any]) -> NDArray[np.float32]:
     wheel = _wheel()
     count = len(wheel)
     position = np.arctan2(v, u).astype(np.float32) * np.float32(count / (2 * math.pi))
-    below = np.floor(position)
-    first = below.astype(np.intp) % count
-    return wheel[first] + (position - below)[..., None] * _wheel_steps()[first]
+    floor = np.floor(position)
+    first = floor.astype(np.intp) % count
+    return wheel[first] + (position - floor)[..., None] * _wheel_steps()[first]
 
 
 @functools.cache

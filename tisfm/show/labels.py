@@ -9,8 +9,8 @@ from tisfm.errors import InputError, InputTypeError
 from tisfm.show.arrays import as_image, as_uint8, require_same_size
 from tisfm.show.palette import category_colors, colors_of_categories
 
-_LABEL_OPACITY = 0.55  # share of the colour of a label over the picture; set by hand
-_THIN_LINE_WIDTH = 400  # px, width of a picture with outlines of 1 px; set by hand
+_LABEL_OPACITY = 0.55  # weight of the colour of a label against the picture; set by hand
+_PICTURE_WIDTH_PER_LINE = 400  # px of picture width for each px of line width; set by hand
 
 
 def label_colors(count: int) -> NDArray[np.uint8]:
@@ -46,7 +46,7 @@ def label_colors(count: int) -> NDArray[np.uint8]:
 
 
 def label_overlay(image: ArrayLike, labels: ArrayLike) -> NDArray[np.uint8]:
-    """Tint a picture by labels, and draw the boundaries between them.
+    """Tint a picture by labels, and draw the boundaries between the labels.
 
     Pixels of label 0 are grey, others have the colours of `label_colors`.
 
@@ -87,18 +87,18 @@ def label_overlay(image: ArrayLike, labels: ArrayLike) -> NDArray[np.uint8]:
     if label.min() < 0:
         raise InputError(f"labels has {label.min()}, expected integers from 0")
     grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
-    shown = np.repeat(grey.astype(np.float32)[..., None], 3, axis=2)
-    own = label > 0
-    colors = colors_of_categories(label[own])
-    shown[own] += np.float32(_LABEL_OPACITY) * (colors - shown[own])
-    shown[_boundaries(label)] = 255
-    return np.rint(shown).astype(np.uint8)
+    overlay = np.repeat(grey.astype(np.float32)[..., None], 3, axis=2)
+    is_object = label > 0
+    colors = colors_of_categories(label[is_object])
+    overlay[is_object] += np.float32(_LABEL_OPACITY) * (colors - overlay[is_object])
+    overlay[_boundaries(label)] = 255
+    return np.rint(overlay).astype(np.uint8)
 
 
 def _boundaries(labels: NDArray[np.integer]) -> NDArray[np.bool_]:
-    """Return lines between different labels, whose width grows with the picture."""
+    """Return the mask of lines between different labels; wider lines in larger pictures."""
     edge = np.zeros(labels.shape, np.uint8)
     edge[:, 1:] |= labels[:, 1:] != labels[:, :-1]
     edge[1:] |= labels[1:] != labels[:-1]
-    width = max(1, round(labels.shape[1] / _THIN_LINE_WIDTH))
+    width = max(1, round(labels.shape[1] / _PICTURE_WIDTH_PER_LINE))
     return cv2.dilate(edge, np.ones((width, width), np.uint8)).astype(bool)

@@ -1,6 +1,6 @@
 """Figures as mosaics: rows of titled panels, and legends in the free space.
 
-Every panel and every legend is drawn by a function that takes its axes.
+Each panel draws itself into given axes, each legend into a given box of the figure.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 Box = tuple[float, float, float, float]  # left, bottom, width, height, as shares of the figure
 
-WIDE = 2.0  # width over height of pictures from which they, and their legends, are stacked
+# Pictures with at least this width over height are stacked, and their legends lie below them.
+MIN_WIDE_RATIO = 2.0
 _TITLE_SIZE = 9.0  # points
 _HEADING_SIZE = 12.0  # points
 
@@ -30,11 +31,11 @@ _LEGEND_GAP = 0.25  # between stacked legends
 _TITLE_LINE = 0.16  # height of a line of a title
 _TITLE_GAP = 0.04  # between a title and its panel
 _HEADING_LINE = 0.24  # height of a line of the heading
-_CHARACTER = 0.075  # width of a mean character of a title, rounded up
+_CHARACTER_WIDTH = 0.075  # mean width of a character of a title, rounded up
 _PANEL_AREA = 7.5  # square inches
 _MIN_CELL_WIDTH = 1.9  # so that a title fits above a tall panel
-_MAX_SIDE = 5.5  # of a panel
-_MIN_SIDE = 0.3  # of a panel
+_MAX_PANEL_SIDE = 5.5
+_MIN_PANEL_SIDE = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +44,7 @@ class Panel:
 
     title: str
     shape: tuple[int, int]  # height and width of the picture, px
-    draw: Callable[[Axes], object]  # draws the picture into the axes that it is given
+    draw: Callable[[Axes], object]  # draws the picture into axes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,32 +55,32 @@ class Legend:
     draw: Callable[[Figure, Box], object]  # draws the legend into a box of a figure
 
 
-def stacked(legends: Sequence[Legend]) -> Legend:
-    """Return one legend made of several, from the top down."""
+def stack_legends(legends: Sequence[Legend]) -> Legend:
+    """Combine legends into one legend, from the top down."""
 
     def draw(figure: Figure, box: Box) -> None:
-        wide, high = figure.get_size_inches()
+        figure_width, figure_height = figure.get_size_inches()
         left, bottom, _, height = box
         top = bottom + height
         for legend in legends:
-            share = legend.size[1] / high
-            legend.draw(figure, (left, top - share, legend.size[0] / wide, share))
-            top -= share + _LEGEND_GAP / high
+            share = legend.size[1] / figure_height
+            legend.draw(figure, (left, top - share, legend.size[0] / figure_width, share))
+            top -= share + _LEGEND_GAP / figure_height
 
     heights = [legend.size[1] for legend in legends]
-    total = sum(heights) + _LEGEND_GAP * (len(legends) - 1)
-    return Legend(size=(max(legend.size[0] for legend in legends), total), draw=draw)
+    total_height = sum(heights) + _LEGEND_GAP * (len(legends) - 1)
+    return Legend(size=(max(legend.size[0] for legend in legends), total_height), draw=draw)
 
 
-def beside(legends: Sequence[Legend]) -> Legend:
-    """Return one legend made of several, from the left, with a common lower edge."""
+def side_by_side(legends: Sequence[Legend]) -> Legend:
+    """Combine legends into one legend, from the left to the right, with a common lower edge."""
 
     def draw(figure: Figure, box: Box) -> None:
-        wide, high = figure.get_size_inches()
+        figure_width, figure_height = figure.get_size_inches()
         left, bottom, _, _ = box
         for legend in legends:
-            width = legend.size[0] / wide
-            legend.draw(figure, (left, bottom, width, legend.size[1] / high))
+            width = legend.size[0] / figure_width
+            legend.draw(figure, (left, bottom, width, legend.size[1] / figure_height))
             left += width
 
     widths = [legend.size[0] for legend in legends]
@@ -90,7 +91,7 @@ def mosaic(
     rows: Sequence[Sequence[Panel]],  # rows may differ in length
     *,
     heading: str | None = None,  # heading above all panels
-    # drawn at the empty end of the lowest row with enough space, else in a column of its own
+    # drawn at the empty end of the lowest row with enough space, else in an additional column
     legend: Legend | None = None,
 ) -> Figure:
     """Draw rows of panels in a new figure.
@@ -116,7 +117,7 @@ def mosaic(
 
 
 def new_figure(size: tuple[float, float]) -> Figure:
-    """Return an empty white figure of a width and height in inches, drawn by Agg."""
+    """Return an empty white figure with the canvas Agg; `size` is width and height, inches."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -137,18 +138,18 @@ def write(target: Figure | Axes, x: float, y: float, text: str, **style: Any) ->
 def panel_size(height: int, width: int) -> tuple[float, float]:
     """Return the width and height, inches, of the panel of a picture whose size is in pixels.
 
-    All panels have about the same area, whatever their aspect ratio, up to a longest side. A very
-    flat or narrow picture is stretched across, to stay visible.
+    Panels of every aspect ratio have about the same area, but their longer side is bounded. A very
+    flat or narrow picture is enlarged along its shorter side, to stay visible.
     """
-    shown_width = math.sqrt(_PANEL_AREA * width / height)
-    shown_height = _PANEL_AREA / shown_width
-    factor = min(1.0, _MAX_SIDE / max(shown_width, shown_height))
-    return max(shown_width * factor, _MIN_SIDE), max(shown_height * factor, _MIN_SIDE)
+    panel_width = math.sqrt(_PANEL_AREA * width / height)
+    panel_height = _PANEL_AREA / panel_width
+    factor = min(1.0, _MAX_PANEL_SIDE / max(panel_width, panel_height))
+    return max(panel_width * factor, _MIN_PANEL_SIDE), max(panel_height * factor, _MIN_PANEL_SIDE)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """Positions for a grid of equal cells, each of them a title above a centred panel."""
+    """Positions in a grid of cells of one width; each cell has a title above a centred panel."""
 
     size: tuple[float, float]  # of the figure, inches
     panels: list[Box]  # row by row
@@ -164,36 +165,39 @@ def arrange(
     *,
     heading: str | None = None,  # heading above all panels
     # width and height, inches, of a legend. It goes to the empty end of the lowest
-    # row with enough space, else into a narrow column of its own.
+    # row with enough space, else into an additional narrow column.
     legend: tuple[float, float] | None = None,
 ) -> Layout:  # positions as shares of the figure, the panels of all rows in one list
     """Arrange panels in rows."""
-    cell = max(_MIN_CELL_WIDTH, *(size[0] for row in rows for _, size in row))
+    cell_width = max(_MIN_CELL_WIDTH, *(size[0] for row in rows for _, size in row))
     columns = max(len(row) for row in rows)
     heights = [max(size[1] for _, size in row) for row in rows]
-    lines = [[textwrap.wrap(title, int(cell / _CHARACTER)) for title, _ in row] for row in rows]
+    title_lines = [
+        [textwrap.wrap(title, int(cell_width / _CHARACTER_WIDTH)) for title, _ in row]
+        for row in rows
+    ]
     legend_row = None
     if legend is not None:
         for i, row in enumerate(rows):
-            empty = columns - len(row)
-            free = empty * cell + (empty - 1) * _GAP
-            if empty and legend[0] <= free and legend[1] <= heights[i]:
+            empty_cells = columns - len(row)
+            empty_width = empty_cells * cell_width + (empty_cells - 1) * _GAP
+            if empty_cells and legend[0] <= empty_width and legend[1] <= heights[i]:
                 legend_row = i
-    width = 2 * _MARGIN + columns * cell + (columns - 1) * _GAP
+    width = 2 * _MARGIN + columns * cell_width + (columns - 1) * _GAP
     if legend is not None and legend_row is None:
         width += _GAP + legend[0]
     # Letters of the heading are larger than letters of a title.
-    letters = int((width - 2 * _MARGIN) / _CHARACTER * _TITLE_SIZE / _HEADING_SIZE)
-    heading_lines = textwrap.wrap(heading or "", letters)
+    max_letters = int((width - 2 * _MARGIN) / _CHARACTER_WIDTH * _TITLE_SIZE / _HEADING_SIZE)
+    heading_lines = textwrap.wrap(heading or "", max_letters)
 
     # Inches from the top down. Matplotlib counts from below, so y is flipped at the end.
     y = _MARGIN + len(heading_lines) * _HEADING_LINE
     boxes = []
     middles = []
-    for row, row_lines, row_height in zip(rows, lines, heights, strict=True):
-        y += max(len(text) for text in row_lines) * _TITLE_LINE + _TITLE_GAP
+    for row, row_title_lines, row_height in zip(rows, title_lines, heights, strict=True):
+        y += max(len(text) for text in row_title_lines) * _TITLE_LINE + _TITLE_GAP
         for column, (_, size) in enumerate(row):
-            x = _MARGIN + column * (cell + _GAP) + (cell - size[0]) / 2
+            x = _MARGIN + column * (cell_width + _GAP) + (cell_width - size[0]) / 2
             boxes.append((x, y, *size))
         middles.append(y + row_height / 2)
         y += row_height + _GAP
@@ -203,15 +207,15 @@ def arrange(
             height = max(height, legend[1] + 2 * _MARGIN)
             x, middle = width - _MARGIN - legend[0], height / 2
         else:
-            empty_from = _MARGIN + len(rows[legend_row]) * (cell + _GAP)
-            x, middle = (empty_from + width - _MARGIN - legend[0]) / 2, middles[legend_row]
+            empty_left = _MARGIN + len(rows[legend_row]) * (cell_width + _GAP)
+            x, middle = (empty_left + width - _MARGIN - legend[0]) / 2, middles[legend_row]
         boxes.append((x, middle - legend[1] / 2, *legend))
 
     shares = [
-        (left / width, 1 - (upper + high) / height, wide / width, high / height)
-        for left, upper, wide, high in boxes
+        (left / width, 1 - (top + box_height) / height, box_width / width, box_height / height)
+        for left, top, box_width, box_height in boxes
     ]
-    titles = ["\n".join(text) for row_lines in lines for text in row_lines]
+    titles = ["\n".join(text) for row_title_lines in title_lines for text in row_title_lines]
     return Layout(
         size=(width, height),
         panels=shares[: len(titles)],

@@ -2,7 +2,7 @@
 
 Each kind of number has one map of colours. All three are perceptually uniform and become brighter
 from end to end, so that they are readable with a colour vision deficiency and in grey print.
-Unknown pixels have a grey that is far from all maps.
+Unknown pixels are grey: this grey differs clearly from the colours of all maps.
 
 References
 ----------
@@ -42,8 +42,9 @@ _MAPS = {
     "confidence": cv2.COLORMAP_CIVIDIS,
     "error": cv2.COLORMAP_VIRIDIS,
 }
-# The static scene, then the seven of Okabe and Ito. Each further colour is the one farthest from
-# all earlier ones, with normal vision and with missing green or red cones.
+# Red, green, blue: the static scene, then the seven colours of Okabe and Ito. Each further colour
+# has the greatest distance from all earlier colours, with normal vision and with missing green or
+# red cones.
 _CATEGORIES = np.array(
     [
         (191, 191, 191),
@@ -68,12 +69,12 @@ _CATEGORIES = np.array(
 
 
 def color_ramp(quantity: Quantity) -> NDArray[np.uint8]:
-    """Return the colours of a kind of number, from its least to its greatest.
+    """Return the colours of a kind of number, from the smallest number to the largest.
 
     Parameters
     ----------
     quantity : {"depth", "confidence", "error"}
-        Inverse depth, far to near; confidence, 0 to 1; or errors and deviations, small to great.
+        Inverse depth, far to near; confidence, 0 to 1; or errors and deviations, small to large.
 
     Returns
     -------
@@ -99,19 +100,19 @@ def color_ramp(quantity: Quantity) -> NDArray[np.uint8]:
 
 
 def colors_of(
-    # (H, W) ndarray: from 0 to 1; values beyond have the colour of the nearer end, NaN that of
-    # unknown pixels
+    # (H, W) ndarray: from 0 to 1. Values outside have the colour of the nearer end. NaN has the
+    # colour of unknown pixels.
     share: NDArray[np.floating],
     quantity: Quantity,  # as for `color_ramp`
 ) -> NDArray[np.uint8]:
     """Return the colours of shares of a range, (H, W, 3)."""
-    known = ~np.isnan(share)
+    is_known = ~np.isnan(share)
     levels = np.zeros(share.shape)
-    np.clip(share, 0, 1, out=levels, where=known)
+    np.clip(share, 0, 1, out=levels, where=is_known)
     codes = np.rint(255 * levels).astype(np.uint8)
     mapped = cv2.applyColorMap(codes, _MAPS[quantity])
     colors: NDArray[np.uint8] = np.ascontiguousarray(mapped[..., ::-1])
-    colors[~known] = UNKNOWN_COLOR
+    colors[~is_known] = UNKNOWN_COLOR
     return colors
 
 
@@ -121,9 +122,9 @@ def category_colors(count: int) -> NDArray[np.uint8]:
 
 
 def colors_of_categories(numbers: NDArray[np.integer]) -> NDArray[np.uint8]:
-    """Return the colours that `category_colors` gives numbers from 0, (..., 3)."""
-    own = 1 + (numbers - 1) % (len(_CATEGORIES) - 1)
-    colors: NDArray[np.uint8] = _CATEGORIES[np.where(numbers == 0, 0, own)]
+    """Return the colours of labels from 0, (..., 3), as `category_colors` does."""
+    object_index = 1 + (numbers - 1) % (len(_CATEGORIES) - 1)
+    colors: NDArray[np.uint8] = _CATEGORIES[np.where(numbers == 0, 0, object_index)]
     return colors
 
 

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.errors import InputError
-from tisfm.show.arrays import as_image, as_map, is_depth, require_same_size
+from tisfm.show.arrays import as_image, as_map, require_same_size, valid_depth_mask
 
-_MAX_SURFACE_DIFFERENCE = 1  # px: shifts that differ by at most this are of one depth; set by hand
+_MAX_SURFACE_DIFFERENCE = 1  # px, of the shifts of two pixels of one surface; set by hand
 
 
 def second_view(
@@ -22,7 +22,8 @@ def second_view(
     """Make the view of a second camera, displaced along the X axis.
 
     By eq. 26 to 28 a point at column x1 of the given picture is at x2 = x1 - f d / Z in the other.
-    It is drawn at the nearest column and hides farther points. Pixels are copied, not interpolated.
+    The point is drawn at the nearest column and hides farther points. Pixels are copied, not
+    interpolated.
 
     Parameters
     ----------
@@ -32,11 +33,11 @@ def second_view(
         Inverse depth 1/Z of each pixel, in any unit. Values that are negative or not finite count
         as 0, infinitely far.
     displacement : float
-        f d, px times the unit of depth: displacement times inverse depth is the shift, px. Positive
-        for a second camera to the right of the first.
+        f d, in px times the unit of depth: displacement times inverse depth is the shift, px.
+        Positive for a second camera to the right of the first camera.
     fill : {"nearest", "behind"}
-        Fills columns that no point reaches: the nearest pixel of their row, as in the paper, or the
-        mirror image of the farther side, so that near objects are not stretched.
+        Content of columns that no point reaches: the nearest pixel of their row, as in the paper,
+        or the mirror image of the farther side, so that near objects are not stretched.
 
     Returns
     -------
@@ -48,11 +49,9 @@ def second_view(
     ValueError
         If a shape is wrong, the sizes differ, `displacement` is not finite, or `fill` is unknown.
 
-    Notes
-    -----
-    If the camera moves to the right, the nearest of several pixels that reach one column is the
-    rightmost in the given picture, because it has shifted most to the left. So the greatest column
-    decides, and depths are never sorted.
+    Notes ----- If the camera moves to the right and several pixels reach one column, the nearest of
+    these pixels is the rightmost in the given picture, because it has shifted most to the left. So
+    the pixel with the greatest column is drawn, and depths are never sorted.
 
     References
     ----------
@@ -68,8 +67,8 @@ def second_view(
     (48, 64)
     """
     picture = as_image("image", image)
-    depth = as_map("inverse_depth", inverse_depth)
-    require_same_size("inverse_depth", depth, "image", picture)
+    inverse_depth_map = as_map("inverse_depth", inverse_depth)
+    require_same_size("inverse_depth", inverse_depth_map, "image", picture)
     if not math.isfinite(displacement):
         raise InputError(f"displacement is {displacement!r}, expected a finite number")
     if fill not in ("nearest", "behind"):
@@ -77,10 +76,10 @@ def second_view(
     if displacement < 0:
         # The mirror image of a camera that moves to the right.
         mirrored = second_view(
-            picture[:, ::-1], depth[:, ::-1], displacement=-displacement, fill=fill
+            picture[:, ::-1], inverse_depth_map[:, ::-1], displacement=-displacement, fill=fill
         )
         return np.ascontiguousarray(mirrored[:, ::-1])
-    shifts = _shifts(depth, displacement)
+    shifts = _pixel_shifts(inverse_depth_map, displacement)
     source = _nearest_source(shifts)
     source = _fill_rows(source) if fill == "nearest" else _fill_from_behind(source, shifts)
     height, width = source.shape
@@ -89,13 +88,13 @@ def second_view(
     return np.take(pixels, source + width * np.arange(height)[:, None], axis=0, mode="clip")
 
 
-def _shifts(inverse_depth: NDArray[Any], displacement: float) -> NDArray[np.int32]:
+def _pixel_shifts(inverse_depth: NDArray[Any], displacement: float) -> NDArray[np.int32]:
     """Return f d / Z in whole pixels, limited to shifts just out of the picture.
 
-    A pixel that leaves the picture stays a different surface from a pixel just inside.
+    The limit keeps a pixel that leaves the picture on a different surface from a pixel just inside.
     """
     max_shift = inverse_depth.shape[1] + _MAX_SURFACE_DIFFERENCE + 1
-    valid = is_depth(inverse_depth)
+    valid = valid_depth_mask(inverse_depth)
     shift = np.zeros_like(inverse_depth)
     with np.errstate(over="ignore"):  # infinity is out of the picture as well
         np.multiply(inverse_depth, displacement, out=shift, where=valid)
@@ -106,18 +105,18 @@ def _shifts(inverse_depth: NDArray[Any], displacement: float) -> NDArray[np.int3
 def _nearest_source(
     # (H, W) int32 ndarray: shift to the left of each pixel, px, at least 0
     shifts: NDArray[np.int32],
-) -> NDArray[np.int32]:  # (H, W) int32 ndarray: column of the nearest of the pixels that land here
+) -> NDArray[np.int32]:  # (H, W) int32 ndarray: columns in the given picture
     """Return the column that each pixel of the second view shows, or -1 for none."""
     height, width = shifts.shape
-    margin = int(shifts.max(initial=0))  # pixels that leave the picture land there, and are cut off
+    margin = int(shifts.max(initial=0))  # px: pixels that leave the picture land there
     columns = np.tile(np.arange(width, dtype=np.int32), (height, 1))
     starts = (margin + width) * np.arange(height)[:, None]
     targets = margin + columns - shifts
     source = np.full((height, margin + width), -1, dtype=np.int32)
     # Columns are written in ascending order, so the greatest column stays.
     source.reshape(-1)[(starts + targets).reshape(-1)] = columns.reshape(-1)
-    # A surface that turns away is stretched: neighbours land two columns apart. The column between
-    # them belongs to that surface; nothing behind may show through.
+    # A slanted surface can be stretched: neighbours land two columns apart. The column between them
+    # belongs to this surface and hides the surfaces behind.
     stretched_columns = np.flatnonzero(shifts[:, 1:] - shifts[:, :-1] == -1)
     row, column = np.divmod(stretched_columns, max(1, width - 1))
     gap_pixels = row, targets[row, column] + 1
@@ -128,60 +127,64 @@ def _nearest_source(
 def _fill_rows(source: NDArray[np.int32]) -> NDArray[np.int32]:
     """Give each empty column (−1) the source of the nearest filled column of its row.
 
-    A row without any filled column, all of which shifted out to the left, takes its last pixel.
+    If all pixels of a row shifted out to the left, the row takes its last pixel.
     """
     height, width = source.shape
-    flat = source.reshape(-1)  # a copy where there is a margin
-    empty, before, after, gap_before, gap_after = _sides(flat, width)
+    flat_source = source.reshape(-1)  # a copy if `source` has a margin
+    empty, before, after, gap_before, gap_after = _filled_neighbours(flat_source, width)
     nearest = np.where(gap_before <= gap_after, before, after)
     is_row_empty = np.minimum(gap_before, gap_after) == width
     nearest[is_row_empty] = 0
-    flat[empty] = np.where(is_row_empty, width - 1, flat[nearest])
-    return flat.reshape(height, width)
+    flat_source[empty] = np.where(is_row_empty, width - 1, flat_source[nearest])
+    return flat_source.reshape(height, width)
 
 
 def _fill_from_behind(source: NDArray[np.int32], shifts: NDArray[np.int32]) -> NDArray[np.int32]:
     """Give each empty column (−1) the mirror image of the farther of both sides of its row.
 
-    If both sides are equally far, the nearer column decides. If the mirror image is nearer to the
-    camera or outside the picture, the pixel at the side itself is used.
+    If both sides have the same depth, the side at the nearer column is used. If the mirror image is
+    nearer to the camera or outside the picture, the pixel at the edge of the side is used.
     """
     height, width = source.shape
-    flat = source.reshape(-1)
-    empty, before, after, gap_before, gap_after = _sides(flat, width)
+    flat_source = source.reshape(-1)
+    empty, before, after, gap_before, gap_after = _filled_neighbours(flat_source, width)
     is_row_empty = np.minimum(gap_before, gap_after) == width
     before, after = (
         np.where(gap < width, side, 0) for gap, side in ((gap_before, before), (gap_after, after))
     )
     row = empty // width * width
-    shift_before, shift_after = (shifts.reshape(-1)[row + flat[side]] for side in (before, after))
+    shift_before, shift_after = (
+        shifts.reshape(-1)[row + flat_source[side]] for side in (before, after)
+    )
     is_same_surface = np.abs(shift_after - shift_before) <= _MAX_SURFACE_DIFFERENCE
     is_farther = np.where(is_same_surface, gap_after < gap_before, shift_after < shift_before)
     is_from_after = (gap_before == width) | ((gap_after < width) & is_farther)
-    edge = flat[np.where(is_from_after, after, before)]
+    edge = flat_source[np.where(is_from_after, after, before)]
     mirrored = edge + np.where(is_from_after, gap_after, -gap_before)
     is_inside = (mirrored >= 0) & (mirrored < width)
     mirrored = np.where(is_inside, mirrored, edge)
-    depth = shifts.reshape(-1)
-    is_behind = depth[row + mirrored] <= depth[row + edge] + _MAX_SURFACE_DIFFERENCE
-    flat[empty] = np.where(is_row_empty, width - 1, np.where(is_behind, mirrored, edge))
-    return flat.reshape(height, width)
+    inverse_depth_map = shifts.reshape(-1)
+    is_behind = (
+        inverse_depth_map[row + mirrored] <= inverse_depth_map[row + edge] + _MAX_SURFACE_DIFFERENCE
+    )
+    flat_source[empty] = np.where(is_row_empty, width - 1, np.where(is_behind, mirrored, edge))
+    return flat_source.reshape(height, width)
 
 
-def _sides(
-    flat: NDArray[np.int32], width: int
+def _filled_neighbours(
+    flat_source: NDArray[np.int32], width: int
 ) -> tuple[
     NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]
 ]:
-    """Return empty columns, the filled columns before and after each, and their distances.
+    """Return empty columns, the filled columns before and after each of them, and the distances.
 
-    A distance is `width` if that side of the row has no filled column.
+    A distance is `width` if this side of the row has no filled column.
     """
-    filled = np.flatnonzero(flat >= 0)
-    empty = np.flatnonzero(flat < 0)
+    filled = np.flatnonzero(flat_source >= 0)
+    empty = np.flatnonzero(flat_source < 0)
     next_filled = np.searchsorted(filled, empty)
-    # Two distant columns count as filled, before the first row and after the last.
-    filled = np.concatenate([[-width - 1], filled, [len(flat) + width]])
+    # Two additional distant columns count as filled: before the first row and after the last row.
+    filled = np.concatenate([[-width - 1], filled, [len(flat_source) + width]])
     before, after = filled[next_filled], filled[next_filled + 1]
     start = empty - empty % width
     gap_before = np.where(before >= start, empty - before, width)

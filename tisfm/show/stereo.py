@@ -14,14 +14,14 @@ from tisfm.show.color_maps import inverse_depth_limit
 from tisfm.show.second_view import second_view
 
 DISPARITY = 0.03
-"""Default disparity budget between two eyes, nearest against farthest, as a share of the width."""
-MAX_DISPARITY = 0.2  # share of the width that eyes can still fuse; set by hand
+"""Default disparity budget: disparity of the nearest point against infinity, over the width."""
+MAX_DISPARITY = 0.2  # largest disparity that eyes can fuse, over the width; set by hand
 
 # Set by hand.
-_UPSAMPLING = 2  # columns per pixel: views shift by half pixels, and edges are smooth
-_MIN_EDGE_CHANGE = 0.02  # change of nearness, in [0, 1], between neighbours at an edge of depth
-_SOFT_EDGE_WIDTH = 3  # px: soft edges of objects shift with the object
-_MIN_KEPT_SHARE = 0.5  # share of the picture that is kept when its border is cut off
+_UPSAMPLING = 2  # columns per pixel, for shifts by half pixels and smooth edges
+_MIN_EDGE_CHANGE = 0.02  # of nearness, in [0, 1], by interpolation: larger at an edge of depth
+_SOFT_EDGE_WIDTH = 3  # px: width of the blurred edge of an object, which shifts with the object
+_MIN_CROP_SHARE = 0.5  # side of the picture without its border, over the side with the border
 
 
 def stereo_view(
@@ -39,7 +39,7 @@ def stereo_view(
     """Make the view of another eye from one picture and its depth.
 
     The picture is the view of the left eye, ``eye=0``. Points nearer than the screen appear in
-    front of it, farther points behind. Parts that only the other eye would see are filled by the
+    front of it, farther points behind. Parts that only the other eye sees are filled by the
     mirror image of the background.
 
     Parameters
@@ -47,25 +47,25 @@ def stereo_view(
     image : (H, W) or (H, W, 3) array_like
         Picture, sRGB: uint8, uint16, or float.
     inverse_depth : (H, W) array_like
-        Inverse depth in any unit. A value that is not finite is replaced by the farther side of its
-        row; zero and negative values are infinitely far.
+        Inverse depth in any unit. A value that is not finite is replaced by the farther of the
+        nearest known values to its left and right; zero and negative values are infinitely far.
     eye : float
-        Position: 1 for the right eye, -1 for a camera as far to the left; values between belong to
-        a swinging camera.
+        Position of the eye: 0 is the left eye, 1 the right eye, -1 the same distance to the left.
+        Values between them are positions of a swinging camera.
     disparity : float
-        Disparity budget: disparity of a point at `limit` against infinity between the eyes 0 and 1,
-        as a share of the width, up to 0.2.
+        Disparity budget: disparity, between the eyes 0 and 1, of a point at `limit` against
+        infinity, as a share of the width, up to 0.2.
     max_disparity : float, optional
         The budget in px, instead of `disparity`.
     screen : float, optional
-        The plane of the screen, without disparity, as a quantile of the depth of the picture: 0 for
-        the farthest point, 1 for the nearest. By default its inverse depth is half of `limit`, the
-        same for all pictures with one limit.
+        Depth of the screen plane, which has no disparity, as a quantile of the depth of the
+        picture: 0 for the farthest point, 1 for the nearest. By default the inverse depth of the
+        screen is half of `limit`, the same for all pictures with one limit.
     screen_depth : float, optional
-        The plane of the screen as a depth, in the inverse unit of `inverse_depth`, not nearer than
-        ``1 / limit``. Infinity puts the whole scene before the screen.
+        Depth of the screen plane, in the inverse unit of `inverse_depth`, at least ``1 / limit``.
+        Infinity puts the whole scene before the screen.
     limit : float, optional
-        Inverse depth that counts as nearest; by default `inverse_depth_limit`, the 95th percentile.
+        Inverse depth of the nearest points; by default `inverse_depth_limit`, the 95th percentile.
         Give all pictures of a sequence the same limit, so that depth does not fluctuate.
     crop : bool
         Whether to cut off the border without image content, equally wide for all eyes, and enlarge
@@ -106,7 +106,7 @@ def stereo_view(
     (picture_uint8,) = as_uint8(picture)
     eye_view = picture_uint8 if eye == 0 else _render_eye(picture_uint8, parallax, eye)
     view = _crop_border(eye_view, parallax) if crop else eye_view
-    return view.copy() if view is picture_uint8 else view  # not the array of the caller
+    return view.copy() if view is picture_uint8 else view  # never the array of the caller
 
 
 def check_disparity(disparity: float) -> float:
@@ -120,7 +120,7 @@ def check_disparity(disparity: float) -> float:
 
 
 def check_screen(screen: float | None, screen_depth: float | None) -> None:
-    """Raise ValueError if both are given, or one is out of range."""
+    """Raise ValueError if both options are given, or an option is out of range."""
     if screen is not None and screen_depth is not None:
         raise InputError(
             f"screen is {screen!r} and screen_depth is {screen_depth!r}: give one of them"
@@ -150,7 +150,7 @@ def _compute_parallax(
     screen_depth: float | None,
     limit: float | None,
 ) -> _Parallax:
-    """Check the options, and return the shifts for an inverse depth."""
+    """Check the options, and return the shifts for an inverse depth, (H, W)."""
     width = depth.shape[1]
     shift = check_disparity(disparity) * width
     if max_disparity is not None:
@@ -172,9 +172,9 @@ def _compute_parallax(
 
 
 def _fill_holes(inverse_depth: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-    """Return inverse depth whose unknown pixels have the farther of both sides of their row.
+    """Fill unknown pixels with the farther of the nearest known values to the left and right.
 
-    A row without any known pixel is infinitely far.
+    A row of unknown pixels is infinitely far.
     """
     is_known = np.isfinite(inverse_depth)
     if is_known.all():
@@ -188,7 +188,7 @@ def _fill_holes(inverse_depth: NDArray[np.floating[Any]]) -> NDArray[np.floating
 def _fill_from_left(
     values: NDArray[np.floating[Any]], is_known: NDArray[np.bool_]
 ) -> NDArray[np.floating[Any]]:
-    """Return the last known value of the row up to each pixel; NaN without one."""
+    """Return the last known value of the row up to each pixel, or NaN."""
     column = np.where(is_known, np.arange(values.shape[1]), -1)
     last_column = np.maximum.accumulate(column, axis=1)
     filled = np.take_along_axis(values, np.maximum(last_column, 0), axis=1)
@@ -196,7 +196,7 @@ def _fill_from_left(
 
 
 def _render_eye(picture: NDArray[np.uint8], parallax: _Parallax, eye: float) -> NDArray[np.uint8]:
-    """Return the view of an eye; beyond the border, pixels are repeated or mirrored."""
+    """Return the view of an eye; pixels beyond the border are repeated or mirrored."""
     height, width = parallax.nearness.shape
     size = (_UPSAMPLING * width, height)
     upsampled = cv2.resize(
@@ -206,7 +206,7 @@ def _render_eye(picture: NDArray[np.uint8], parallax: _Parallax, eye: float) -> 
         parallax.nearness, np.ones((_SOFT_EDGE_WIDTH, _SOFT_EDGE_WIDTH), np.uint8)
     )
     depth = cv2.resize(nearness, size, interpolation=cv2.INTER_LINEAR)
-    # Interpolated depth at an edge belongs to neither side.
+    # Interpolated depth at an edge belongs to neither side: the nearest pixel replaces it.
     nearest_depth = cv2.resize(nearness, size, interpolation=cv2.INTER_NEAREST)
     depth = np.where(np.abs(depth - nearest_depth) < _MIN_EDGE_CHANGE, depth, nearest_depth)
     displacement = _UPSAMPLING * parallax.shift * eye
@@ -217,12 +217,12 @@ def _render_eye(picture: NDArray[np.uint8], parallax: _Parallax, eye: float) -> 
 
 
 def _crop_border(picture: NDArray[np.uint8], parallax: _Parallax) -> NDArray[np.uint8]:
-    """Return a view without the border that lacks content for some eye, enlarged to full size."""
+    """Cut off the border that lacks content for some eye, and enlarge the rest to full size."""
     height, width = picture.shape[:2]
     margin = math.ceil(parallax.shift * max(parallax.screen, 1 - parallax.screen))
     if margin == 0:
         return picture
-    kept_share = max(_MIN_KEPT_SHARE, 1 - 2 * margin / width)
-    size = max(1, round(kept_share * width)), max(1, round(kept_share * height))
-    center_part = cv2.getRectSubPix(picture, size, ((width - 1) / 2, (height - 1) / 2))
-    return np.asarray(cv2.resize(center_part, (width, height), interpolation=cv2.INTER_CUBIC))
+    crop_share = max(_MIN_CROP_SHARE, 1 - 2 * margin / width)
+    size = max(1, round(crop_share * width)), max(1, round(crop_share * height))
+    cropped = cv2.getRectSubPix(picture, size, ((width - 1) / 2, (height - 1) / 2))
+    return np.asarray(cv2.resize(cropped, (width, height), interpolation=cv2.INTER_CUBIC))
