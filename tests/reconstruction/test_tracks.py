@@ -14,7 +14,7 @@ from tisfm.reconstruction.frames.image_motion import (
     shrink_for_flow,
 )
 from tisfm.reconstruction.tracks.settings import TRACKS
-from tisfm.reconstruction.tracks.tracker import Tracker, choose_new_points, thin_out
+from tisfm.reconstruction.tracks.tracker import Tracker, choose_new_points, keep_first_in_squares
 
 CAMERA = Camera(focal=192.0)
 
@@ -35,7 +35,7 @@ def test_tracks_follow_a_shift():
     np.testing.assert_array_equal(first.tracks[before], second.tracks[after])
     there = first.points - (3.25, -1.5)
     inside = there[((there > 5) & (there < (314, 234))).all(axis=1)]
-    assert len(before) > 0.95 * len(thin_out(inside, 6.0))
+    assert len(before) > 0.95 * len(keep_first_in_squares(inside, 6.0))
     away = second.points[after] - first.points[before] - (-3.25, 1.5)
     assert np.median(np.hypot(*away.T)) < 0.1  # px
 
@@ -66,7 +66,7 @@ def test_tracks_are_the_same_with_precomputed_flow():
 
 def test_first_of_meeting_tracks_continues():
     points = np.array([[10.2, 5.0], [12.9, 5.1], [10.5, 5.3], [40.0, 5.0]])
-    assert thin_out(points, 6.0).tolist() == [0, 1, 3]
+    assert keep_first_in_squares(points, 6.0).tolist() == [0, 1, 3]
 
 
 def test_no_track_begins_on_ignored_pixels():

@@ -9,66 +9,77 @@ from tisfm.motion.sparse_matches import Features
 from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.tracks.settings import TRACKS
 
-# Largest value of a descriptor, which is stored in 8 bits.
-MAX_LEVEL = 255.0
-# Views whose codes are in memory at a time. Set by hand.
+# Square roots of descriptors lie in [0, 1]: they are multiplied by this number and stored in 8
+# bits.
+ROOT_SCALE = 255.0
+# Number of views whose codes are in memory at a time. Set by hand.
 BLOCK_VIEWS = 512
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImageDescriptors:
-    """Descriptors of a view, in 8 bits each."""
+    """Points of a view with their descriptors, in 8 bits each."""
 
     points: np.ndarray  # (N, 2) float64: (x, y), px from the upper left pixel's centre
-    levels: np.ndarray  # (N, 128) uint8: square roots of the descriptors of these points, times 255
+    # (N, 128) uint8: square roots of the descriptors of these points, times `ROOT_SCALE`
+    quantised_roots: np.ndarray
 
     @classmethod
     def from_features(cls, features: Features) -> "ImageDescriptors":
-        """Return the descriptors of a view with these points."""
+        """Return the points and quantised descriptors of these features."""
         return cls(
-            points=features.points, levels=np.rint(features.roots * MAX_LEVEL).astype(np.uint8)
+            points=features.points,
+            quantised_roots=np.rint(features.roots * ROOT_SCALE).astype(np.uint8),
         )
 
     @classmethod
-    def from_arrays(cls, points: np.ndarray, levels: np.ndarray) -> "ImageDescriptors":
+    def from_arrays(cls, points: np.ndarray, quantised_roots: np.ndarray) -> "ImageDescriptors":
         """Return the descriptors with these arrays."""
-        return cls(points=points, levels=levels)
+        return cls(points=points, quantised_roots=quantised_roots)
 
     def to_arrays(self) -> tuple[np.ndarray, ...]:
-        """Return its arrays."""
-        return self.points, self.levels
+        """Return the arrays of this object."""
+        return self.points, self.quantised_roots
 
     def to_features(self) -> Features:
-        """Return the points with their descriptors."""
-        return Features(points=self.points, roots=self.levels.astype(np.float32) / MAX_LEVEL)
+        """Return the points with descriptors in float32."""
+        return Features(
+            points=self.points, roots=self.quantised_roots.astype(np.float32) / ROOT_SCALE
+        )
 
 
 def find_similar_views(
     descriptors: Sequence[ImageDescriptors],  # descriptors of views, in the order of their frames
     *,
-    min_distance: int,  # smallest distance, in views, from the earlier to the later view
+    min_distance: int,  # smallest distance between the two views of a pair, views
 ) -> list[tuple[int, int]]:
     """Return pairs of views that may show the same scene, the earlier view first, in order.
 
     References
     ----------
     Jégou et al., "Aggregating local image descriptors into compact codes", TPAMI 2012,
-    doi 10.1109/TPAMI.2011.235 (VLAD); the codebook is clustered from these views themselves.
-    Arandjelović and Zisserman, "All about VLAD", CVPR 2013, doi 10.1109/CVPR.2013.207 (each
-    word's part is of unit length).
+    doi 10.1109/TPAMI.2011.235 (VLAD). Here the codebook is clustered from the views
+    themselves, without training images.
+    Arandjelović and Zisserman, "All about VLAD", CVPR 2013, doi 10.1109/CVPR.2013.207 (the
+    part of the code that belongs to one word has unit length).
     """
     views = [
-        k for k, each in enumerate(descriptors) if len(each.points) >= TRACKS.min_described_points
+        k
+        for k, view_descriptors in enumerate(descriptors)
+        if len(view_descriptors.points) >= TRACKS.min_described_points
     ]
     if len(views) < 2 or views[-1] - views[0] < min_distance:
         return []
     codebook = _cluster_codebook(descriptors, views)
     codes = DiskCache[np.ndarray](lambda block: (block,), np.asarray)
     candidates: list[tuple[float, int, int]] = []
-    next_similarities = []
+    neighbour_similarities = []
     for begin in range(0, len(views), BLOCK_VIEWS):
         block = np.stack(
-            [_encode(descriptors[k].levels, codebook) for k in views[begin : begin + BLOCK_VIEWS]]
+            [
+                _encode(descriptors[k].quantised_roots, codebook)
+                for k in views[begin : begin + BLOCK_VIEWS]
+            ]
         )
         similarities = np.hstack(
             [*(block @ earlier_codes.T for earlier_codes in codes), block @ block.T]
@@ -76,17 +87,22 @@ def find_similar_views(
         codes.append(block)
         for row, later in enumerate(views[begin : begin + BLOCK_VIEWS], start=begin):
             similarity = similarities[row - begin, :row]
-            next_similarities += similarity[-1:].tolist()
+            neighbour_similarities += similarity[-1:].tolist()
             candidates += [
                 (float(similarity[column]), views[column], later)
                 for column in _select_candidates(similarity, views, later - min_distance)
             ]
-    threshold = TRACKS.min_similarity * float(np.median(np.array(next_similarities, np.float32)))
+    threshold = TRACKS.min_similarity * float(
+        np.median(np.array(neighbour_similarities, np.float32))
+    )
     return [(earlier, later) for value, earlier, later in candidates if value >= threshold]
 
 
 def _select_candidates(similarity: np.ndarray, views: Sequence[int], max_view: int) -> list[int]:
-    """Return the earlier views, up to `max_view`, that are most similar to a view, in order."""
+    """Return the indices of the most similar earlier views, ascending.
+
+    `similarity` has one value for each entry of `views`. Views after `max_view` are left out.
+    """
     selected: list[int] = []
     for column in np.argsort(-similarity, kind="stable").tolist():
         if len(selected) == TRACKS.max_candidates:
@@ -100,13 +116,13 @@ def _select_candidates(similarity: np.ndarray, views: Sequence[int], max_view: i
 
 
 def _cluster_codebook(descriptors: Sequence[ImageDescriptors], views: Sequence[int]) -> np.ndarray:
-    """Return the centres of clusters of descriptors, (words, 128) float32."""
+    """Return the codebook: the centres of clusters of descriptors, (words, 128) float32."""
     count = max(1, TRACKS.codebook_sample // len(views))
     # Evenly spaced descriptors of each view: no random choice, and so no seed.
     samples = []
     for k in views[:: -(-len(views) // TRACKS.codebook_sample)]:
-        levels = descriptors[k].levels
-        samples.append(levels[np.linspace(0, len(levels) - 1, min(count, len(levels))).astype(int)])
+        roots = descriptors[k].quantised_roots
+        samples.append(roots[np.linspace(0, len(roots) - 1, min(count, len(roots))).astype(int)])
     sample = np.vstack(samples).astype(np.float32)
     centres = sample[np.linspace(0, len(sample) - 1, TRACKS.codebook_size).astype(int)]
     for _ in range(TRACKS.codebook_rounds):
@@ -117,18 +133,19 @@ def _cluster_codebook(descriptors: Sequence[ImageDescriptors], views: Sequence[i
     return centres
 
 
-def _nearest_words(levels: np.ndarray, centres: np.ndarray) -> np.ndarray:
-    """Return the nearest centre of each descriptor, (N,)."""
-    nearness = levels @ centres.T - (centres**2).sum(axis=1) / 2
+def _nearest_words(descriptors: np.ndarray, centres: np.ndarray) -> np.ndarray:
+    """Return the index of the nearest centre of each descriptor, (N,)."""
+    # Half the squared distance, with the opposite sign and without the term |descriptor|².
+    nearness = descriptors @ centres.T - (centres**2).sum(axis=1) / 2
     return np.asarray(nearness.argmax(axis=1))
 
 
-def _encode(levels: np.ndarray, centres: np.ndarray) -> np.ndarray:
+def _encode(descriptors: np.ndarray, codebook: np.ndarray) -> np.ndarray:
     """Return the code of a view, (words · 128,) float32, of unit length."""
-    values = levels.astype(np.float32)
-    words = _nearest_words(values, centres)
-    sums = np.zeros_like(centres)
+    values = descriptors.astype(np.float32)
+    words = _nearest_words(values, codebook)
+    sums = np.zeros_like(codebook)
     for k in np.unique(words):
-        residual = (values[words == k] - centres[k]).sum(axis=0)
+        residual = (values[words == k] - codebook[k]).sum(axis=0)
         sums[k] = residual / max(float(np.linalg.norm(residual)), 1e-6)
     return np.asarray(sums.ravel() / max(float(np.linalg.norm(sums)), 1e-6))

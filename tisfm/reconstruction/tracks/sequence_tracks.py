@@ -1,4 +1,7 @@
-"""Tracking of a whole sequence: tracks in every frame, and the views for the camera path."""
+"""Tracking of a whole sequence: tracks in every frame, and the views for the camera path.
+
+Views are the frames from which the path is built.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,10 +22,9 @@ class SequenceTracks:
     """Tracks and views of a sequence."""
 
     observations: Sequence[Observations]  # tracks in every frame
-    # the frames from which a path is built, in order; none if poses are given
+    # the frames from which a path is built, in order; empty if poses are given
     views: Sequence[View]
-    # mapping of (int, int) to (N, 2) int array: for pairs of indices of views: indices of detected
-    # points that match
+    # by pair of view indices: (N, 2) int array, the indices of the detected points that match
     matches: Mapping[tuple[int, int], np.ndarray]
     distinct_count: int  # number of frames that differ from one another
     shape: tuple[int, int]  # height and width of the frames, px
@@ -38,13 +40,17 @@ class SequenceTracker:
         # Whether matches of views have to fit the focal length of the camera. Otherwise any focal
         # length may fit.
         is_focal_known: bool = True,
-        selects_views: bool = True,  # Whether views are selected. A given path needs only tracks.
-        cells: int | None = None,  # as for `tisfm.reconstruction.tracks.tracker.Tracker`
+        # Whether views are selected. If poses are given, only tracks are needed.
+        selects_views: bool = True,
+        # number of cells along the longer side, in which new tracks begin; by default
+        # `TRACKS.cells`
+        cells: int | None = None,
     ) -> None:
         self._tracker = Tracker(camera, TRACKING_SETTINGS, cells)
         self._observations = DiskCache(Observations.to_arrays, Observations.from_arrays)
         self._with_views = selects_views
         self._views = ViewSelection(camera, is_focal_known=is_focal_known, on_disk=True)
+        # Views with less motion between them: they are used if `_views` has few views.
         self._close_views: ViewSelection | None = ViewSelection(
             camera, is_focal_known=is_focal_known, on_disk=True
         )
@@ -54,7 +60,7 @@ class SequenceTracker:
         self,
         grey: np.ndarray,  # (H, W) uint8
         ignored: np.ndarray | None = None,  # (H, W) bool: pixels without tracks
-        # (h, w, 2) float32: image motion from the previous frame, as for `Tracker.track`
+        # (h, w, 2) float32: image motion from the previous frame, px of the shrunk frame
         flow: np.ndarray | None = None,
     ) -> None:
         """Track points into the next frame."""

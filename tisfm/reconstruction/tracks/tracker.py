@@ -24,19 +24,19 @@ class Observations:
         return cls(points=points, tracks=tracks)
 
     def to_arrays(self) -> tuple[np.ndarray, ...]:
-        """Return its arrays."""
+        """Return the arrays of this object."""
         return self.points, self.tracks
 
     def select(self, is_selected: np.ndarray) -> "Observations":
-        """Return the observations of some tracks; `is_selected` is (N,) bool."""
+        """Return the observations where `is_selected`, (N,) bool, is true."""
         return Observations(points=self.points[is_selected], tracks=self.tracks[is_selected])
 
     def common_tracks(self, other: "Observations") -> tuple[np.ndarray, np.ndarray]:
         """Return the indices, in this frame and in another one, of the tracks that both see."""
-        _, own, others = np.intersect1d(
+        _, indices, other_indices = np.intersect1d(
             self.tracks, other.tracks, assume_unique=True, return_indices=True
         )
-        return own, others
+        return indices, other_indices
 
 
 class Tracker:
@@ -46,8 +46,8 @@ class Tracker:
         self,
         camera: Camera,  # pinhole camera of the frames
         settings: Settings,  # settings of the image motion
-        # cells along the longer side: a new track begins in every cell without a track; by default
-        # that of the settings of tracks
+        # number of cells along the longer side: a new track begins in every cell without a track;
+        # by default `TRACKS.cells`
         cells: int | None = None,
     ) -> None:
         self._camera, self._settings = camera, settings
@@ -55,14 +55,14 @@ class Tracker:
         self._grey: np.ndarray | None = None
         self._small: np.ndarray | None = None
         self._observations = Observations(points=np.empty((0, 2)), tracks=np.empty(0, np.int64))
-        self._count = 0
+        self._track_count = 0
 
     def track(
         self,
         grey: np.ndarray,  # (H, W) uint8
         ignored: np.ndarray | None = None,  # (H, W) bool: pixels without tracks
         # (h, w, 2) float32: image motion from the previous frame at the size of `shrink_for_flow`,
-        # px of this size. By default it is computed.
+        # px of the shrunk frame. By default it is computed.
         flow: np.ndarray | None = None,
     ) -> Observations:
         """Return the tracks in the next frame."""
@@ -74,14 +74,16 @@ class Tracker:
                 flow = find_flow(self._small, small, scale, self._camera, self._settings)
             points, is_tracked = track_points(self._grey, grey, points, flow)
             points, tracks = points[is_tracked], tracks[is_tracked]
-            oldest = thin_out(points, TRACKS.min_track_distance * _cell_side(grey, self._cells))
-            points, tracks = points[oldest], tracks[oldest]
+            oldest_indices = keep_first_in_squares(
+                points, TRACKS.min_track_distance * _cell_side(grey, self._cells)
+            )
+            points, tracks = points[oldest_indices], tracks[oldest_indices]
         if ignored is not None:
             x, y = np.rint(points).astype(np.intp).T
             points, tracks = points[~ignored[y, x]], tracks[~ignored[y, x]]
         new_points = choose_new_points(grey, points, ignored, self._cells)
-        numbers = np.arange(self._count, self._count + len(new_points))
-        self._count += len(new_points)
+        numbers = np.arange(self._track_count, self._track_count + len(new_points))
+        self._track_count += len(new_points)
         self._grey, self._small = grey, small
         self._observations = Observations(
             points=np.vstack([points, new_points]), tracks=np.r_[tracks, numbers]
@@ -94,13 +96,14 @@ def track_points(
     grey0: np.ndarray,
     grey1: np.ndarray,
     points: np.ndarray,  # (N, 2) float64
-    flow: np.ndarray,  # (h, w, 2) float32: image motion from frame 0 to frame 1, px of its own size
+    flow: np.ndarray,  # (h, w, 2) float32: image motion from frame 0 to frame 1, px of this field
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the positions of points of frame 0 in frame 1, and the points that were found.
 
-    The flow gives a first position. If a search by appearance succeeds near it, its result is used.
-    A point counts as found if tracking back to frame 0 ends at its start, and the patches in both
-    frames are similar. Few points pass these checks, but these points drift little.
+    The flow gives a first position. If a search by appearance succeeds near this position, the
+    search's result replaces it. A point counts as found if tracking it back to frame 0 ends near
+    its start, and its patches in both frames are similar. Few points pass these checks, but these
+    points drift little.
 
     Returns the new positions, (N, 2) float64, and which points were found, (N,) bool.
 
@@ -118,12 +121,12 @@ def track_points(
     refined, is_found = _search_points(grey0, grey1, points, predicted)
     is_refined = is_found & (np.hypot(*(refined - predicted).T) < TRACKS.max_search_distance)
     tracked = np.where(is_refined[:, None], refined, predicted)
-    returned, is_tracked = _search_points(grey1, grey0, tracked, tracked - motion)
-    is_tracked &= np.hypot(*(returned - points).T) < max(
+    returned_points, is_tracked = _search_points(grey1, grey0, tracked, tracked - motion)
+    is_tracked &= np.hypot(*(returned_points - points).T) < max(
         TRACKS.max_return_error, TRACKS.max_return_share * max(height, width)
     )
-    last = np.array([width, height]) - 1 - TRACKS.border
-    is_tracked &= ((tracked >= TRACKS.border) & (tracked <= last)).all(axis=1)
+    max_position = np.array([width, height]) - 1 - TRACKS.border
+    is_tracked &= ((tracked >= TRACKS.border) & (tracked <= max_position)).all(axis=1)
     difference = _sample_patches(grey0, points) - _sample_patches(grey1, tracked)
     difference -= difference.mean(axis=1, keepdims=True)
     is_tracked &= np.abs(difference).mean(axis=1) < TRACKS.max_patch_difference
@@ -174,11 +177,11 @@ def choose_new_points(
         float(np.quantile(strength[::2, ::2], TRACKS.structure_quantile)),
         TRACKS.min_corner_strength,
     )
-    inside = np.zeros((height, width), bool)
-    inside[TRACKS.border : -TRACKS.border, TRACKS.border : -TRACKS.border] = True
+    is_inside = np.zeros((height, width), bool)
+    is_inside[TRACKS.border : -TRACKS.border, TRACKS.border : -TRACKS.border] = True
     if ignored is not None:
-        inside &= ~ignored
-    strength[~inside] = 0
+        is_inside &= ~ignored
+    strength[~is_inside] = 0
     is_occupied = np.zeros((rows + 1, columns + 1), bool)
     column, row = (points / side).astype(np.intp).T
     is_occupied[row.clip(0, rows), column.clip(0, columns)] = True
@@ -195,7 +198,7 @@ def _cell_side(grey: np.ndarray, cells: int) -> int:
     return max(TRACKS.border, round(max(grey.shape) / cells))
 
 
-def thin_out(points: np.ndarray, side: float) -> np.ndarray:
+def keep_first_in_squares(points: np.ndarray, side: float) -> np.ndarray:
     """Return the indices of the first point in each square of this side, ascending."""
     _, first = np.unique(points // side, axis=0, return_index=True)
     return np.sort(first)

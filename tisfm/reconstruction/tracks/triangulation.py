@@ -29,10 +29,10 @@ class TrackPoints(Mapping[int, np.ndarray]):
         return cls(tracks=tracks, positions=positions.reshape(-1, 3))
 
     def __or__(self, others: "TrackPoints") -> "TrackPoints":
-        """Return these points and others; of a track in both, the other point is used."""
-        is_own = ~np.isin(self.tracks, others.tracks)
-        tracks = np.concatenate([self.tracks[is_own], others.tracks])
-        positions = np.vstack([self.positions[is_own], others.positions])
+        """Return both sets of points; a track in both sets keeps its point of `others`."""
+        is_only_here = ~np.isin(self.tracks, others.tracks)
+        tracks = np.concatenate([self.tracks[is_only_here], others.tracks])
+        positions = np.vstack([self.positions[is_only_here], others.positions])
         order = np.argsort(tracks)
         return TrackPoints(tracks=tracks[order], positions=positions[order])
 
@@ -73,8 +73,8 @@ def points_of_tracks(
 
 
 def triangulate_tracks(
-    observations: Sequence[Observations],  # observations of every frame
-    poses: Mapping[int, np.ndarray],  # mapping of int to (4, 4) array: camera to world, by frame
+    observations: Sequence[Observations],  # tracks in every frame
+    poses: Mapping[int, np.ndarray],  # by frame: (4, 4), camera to world
     camera: Camera,  # pinhole camera
     shape: tuple[int, int],  # height and width of the frames, px
 ) -> TrackPoints:
@@ -89,32 +89,33 @@ def triangulate_tracks(
 def _batches(
     observations: Sequence[Observations], poses: Mapping[int, np.ndarray]
 ) -> Iterator[Mapping[int, Observations]]:
-    """Yield observations in frames with poses, of some tracks at a time, to bound the memory."""
+    """Yield observations in frames with poses: some tracks at a time, to bound the memory."""
     lengths = np.zeros(0, np.int64)
-    spans = {}  # oldest and newest track, by frame
+    track_ranges = {}  # by frame: numbers of the oldest and the newest track
     for frame in poses:
         tracks = observations[frame].tracks
         if not len(tracks):
             continue
-        spans[frame] = tracks[0], tracks[-1]
+        track_ranges[frame] = tracks[0], tracks[-1]
         if tracks[-1] >= len(lengths):
             lengths = np.concatenate([lengths, np.zeros(tracks[-1] + 1 - len(lengths), np.int64)])
         lengths[tracks] += 1
     if lengths.sum() <= MAX_OBSERVATIONS:
         yield {frame: observations[frame] for frame in poses}
         return
-    batch = np.cumsum(lengths) // MAX_OBSERVATIONS
-    for begin in np.flatnonzero(np.diff(batch, prepend=-1)).tolist():
-        end = int(np.searchsorted(batch, batch[begin], side="right"))
+    batch_of_track = np.cumsum(lengths) // MAX_OBSERVATIONS
+    for begin in np.flatnonzero(np.diff(batch_of_track, prepend=-1)).tolist():
+        end = int(np.searchsorted(batch_of_track, batch_of_track[begin], side="right"))
         observations_of_batch = {}
-        for frame, (oldest, newest) in spans.items():
+        for frame, (oldest, newest) in track_ranges.items():
             if newest < begin or oldest >= end:
                 continue
-            own = observations[frame]
-            first, last = np.searchsorted(own.tracks, (begin, end))
+            frame_observations = observations[frame]
+            first, last = np.searchsorted(frame_observations.tracks, (begin, end))
             if last > first:
                 observations_of_batch[frame] = Observations(
-                    points=own.points[first:last], tracks=own.tracks[first:last]
+                    points=frame_observations.points[first:last],
+                    tracks=frame_observations.tracks[first:last],
                 )
         yield observations_of_batch
 
@@ -127,30 +128,32 @@ def _triangulate(
 ) -> TrackPoints:
     cx, cy = camera.center_for(*shape)
     tracks, centres, rays, positions, frames = [], [], [], [], []
-    for frame, own in observations.items():
-        points, pose = own.points, poses[frame]
+    for frame, frame_observations in observations.items():
+        points, pose = frame_observations.points, poses[frame]
         ray = pinhole_rays(points, camera, shape) @ pose[:3, :3].T
-        tracks.append(own.tracks)
+        tracks.append(frame_observations.tracks)
         rays.append(unit_vectors(ray))
         centres.append(np.broadcast_to(pose[:3, 3], ray.shape))
         positions.append(points)
         frames.append(np.full(len(points), frame))
     if not tracks:
         return TrackPoints.from_mapping({})
-    numbers, index = np.unique(np.concatenate(tracks), return_inverse=True)
-    ray, centre, position, frame_of = map(np.concatenate, (rays, centres, positions, frames))
+    track_numbers, index = np.unique(np.concatenate(tracks), return_inverse=True)
+    ray, centre, position, frame_of_observation = map(
+        np.concatenate, (rays, centres, positions, frames)
+    )
     count = np.bincount(index)
-    matrix, vector = nearest_point_equations(index, ray, centre, len(numbers))
+    matrix, vector = nearest_point_equations(index, ray, centre, len(track_numbers))
     # The smallest eigenvalue is 0 for parallel rays, else count · sin² of their spread.
     min_eigenvalue = np.linalg.eigvalsh(matrix)[:, 0]
     is_valid = (count >= TRACKS.min_frames) & (
         min_eigenvalue > count * np.sin(np.radians(TRACKS.min_angle) / 2) ** 2
     )
-    point = np.zeros((len(numbers), 3))
+    point = np.zeros((len(track_numbers), 3))
     point[is_valid] = np.linalg.solve(matrix[is_valid], vector[is_valid][..., None])[..., 0]
     residual = np.full(len(index), np.inf)
     for frame in observations:
-        in_frame, pose = frame_of == frame, poses[frame]
+        in_frame, pose = frame_of_observation == frame, poses[frame]
         local = (point[index[in_frame]] - pose[:3, 3]) @ pose[:3, :3]
         with np.errstate(divide="ignore", invalid="ignore"):
             projected = local[:, :2] / local[:, 2:] * camera.focal + (cx, cy)
@@ -158,14 +161,15 @@ def _triangulate(
         residual[in_frame] = np.where(local[:, 2] > 0, np.nan_to_num(distance, nan=np.inf), np.inf)
     order = np.lexsort((residual, index))
     first = np.concatenate([[0], np.cumsum(count)[:-1]])
+    # The lower median of the residuals of each track is bounded.
     is_valid &= residual[order][first + (count - 1) // 2] < TRACKS.max_median_residual
-    return TrackPoints(tracks=numbers[is_valid], positions=point[is_valid])
+    return TrackPoints(tracks=track_numbers[is_valid], positions=point[is_valid])
 
 
 def track_depths(
     observations: Observations, points: Mapping[int, np.ndarray], pose: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions, (N, 2), and depth of a frame's tracks with points before the camera."""
+    """Return the positions, (N, 2) px, and the depths, (N,), of tracks in front of the camera."""
     has_point, world = points_of_tracks(observations, points)
     depth = (world - pose[:3, 3]) @ pose[:3, 2]
     return observations.points[has_point][depth > 0], depth[depth > 0]

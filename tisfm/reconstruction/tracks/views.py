@@ -35,7 +35,7 @@ class View:
         )
 
     def to_arrays(self) -> tuple[np.ndarray, ...]:
-        """Return its arrays."""
+        """Return the arrays of this object."""
         return np.array(self.frame), *self.observations.to_arrays(), self.detected
 
 
@@ -46,7 +46,8 @@ class ViewSelection:
         self,
         camera: Camera,  # pinhole camera of the frames
         *,
-        # Whether matches have to fit its focal length. Otherwise any focal length may fit.
+        # Whether matches have to fit the focal length of the camera. Otherwise any focal length may
+        # fit.
         is_focal_known: bool = True,
         on_disk: bool = False,  # whether views are stored on disk: then they cannot be dropped
     ) -> None:
@@ -54,15 +55,14 @@ class ViewSelection:
         self.views: list[View] | DiskCache[View] = (
             DiskCache(View.to_arrays, View.from_arrays) if on_disk else []
         )
-        # dict of (int, int) to (N, 2) int32 array: for pairs of indices of views: indices of their
-        # detected points that match
+        # by pair of view indices: (N, 2) int32, the indices of their detected points that match
         self.matches: dict[tuple[int, int], np.ndarray] = {}
         self._camera, self._focal_known = camera, is_focal_known
         self._descriptors: list[ImageDescriptors] | DiskCache[ImageDescriptors] = (
             DiskCache(ImageDescriptors.to_arrays, ImageDescriptors.from_arrays) if on_disk else []
         )
-        self._matchable: list[int] = []  # views with enough detected points
-        self._compared_pairs: set[tuple[int, int]] = set()
+        self._matchable_views: list[int] = []  # indices of views with enough detected points
+        self._tested_pairs: set[tuple[int, int]] = set()
 
     def set_camera(self, camera: Camera) -> None:
         """Use a camera with a known focal length for later matches."""
@@ -72,19 +72,19 @@ class ViewSelection:
         self,
         observations: Observations,
         longer_side: int,
-        min_motion: float | None = None,  # longer sides; by default that of the settings of tracks
+        min_motion: float | None = None,  # share of the longer side; by default `TRACKS.min_motion`
     ) -> bool:
         """Return whether a frame differs enough from the last view to become a view."""
         min_motion = TRACKS.min_motion if min_motion is None else min_motion
         if not self.views:
             return len(observations.tracks) > 0
-        before = self.views[-1].observations
-        index0, index1 = before.common_tracks(observations)
-        if len(index0) < TRACKS.min_visible_tracks * len(before.tracks):
+        last_observations = self.views[-1].observations
+        index0, index1 = last_observations.common_tracks(observations)
+        if len(index0) < TRACKS.min_visible_tracks * len(last_observations.tracks):
             return True
         if len(index0) == 0:
             return len(observations.tracks) > 0
-        motion = np.hypot(*(observations.points[index1] - before.points[index0]).T)
+        motion = np.hypot(*(observations.points[index1] - last_observations.points[index0]).T)
         return bool(np.median(motion) > min_motion * longer_side)
 
     def add(
@@ -92,18 +92,20 @@ class ViewSelection:
     ) -> None:
         """Add a frame, (H, W) uint8, as a view; ignored pixels, (H, W) bool, get no points."""
         features = _detect_features(grey, ignored)
-        number = len(self.views)
+        view_index = len(self.views)
         self.views.append(View(frame=frame, observations=observations, detected=features.points))
         self._descriptors.append(ImageDescriptors.from_features(features))
-        for earlier in self._matchable[-TRACKS.matched_views :]:
-            self._match(earlier, number, grey.shape, min_matches=TRACKS.min_matches, min_share=0.0)
+        for earlier in self._matchable_views[-TRACKS.matched_views :]:
+            self._match(
+                earlier, view_index, grey.shape, min_matches=TRACKS.min_matches, min_share=0.0
+            )
         if len(features.points) >= TRACKS.min_matches:
-            self._matchable.append(number)
+            self._matchable_views.append(view_index)
 
     def close_loops(self, shape: tuple[int, int]) -> None:
         """Match views that show the same scene again (loops), in frames of this shape, px."""
         for pair in find_similar_views(self._descriptors, min_distance=TRACKS.matched_views + 1):
-            if pair not in self._compared_pairs:
+            if pair not in self._tested_pairs:
                 self._match(
                     *pair,
                     shape,
@@ -114,17 +116,15 @@ class ViewSelection:
     def drop_first(self, count: int) -> None:
         """Drop the first views."""
         if isinstance(self.views, DiskCache) or isinstance(self._descriptors, DiskCache):
-            raise InputTypeError("views lie on disk: they cannot be forgotten")
+            raise InputTypeError("views are stored on disk: they cannot be dropped")
         del self.views[:count], self._descriptors[:count]
-        self._matchable = [k - count for k in self._matchable if k >= count]
+        self._matchable_views = [k - count for k in self._matchable_views if k >= count]
         self.matches = {
             (earlier - count, later - count): matches
             for (earlier, later), matches in self.matches.items()
             if earlier >= count
         }
-        self._compared_pairs = {
-            (i - count, k - count) for i, k in self._compared_pairs if i >= count
-        }
+        self._tested_pairs = {(i - count, k - count) for i, k in self._tested_pairs if i >= count}
 
     def is_out_of_order(self) -> bool:
         """Return whether most views match other views, but not the previous one."""
@@ -132,7 +132,8 @@ class ViewSelection:
         if count < TRACKS.min_ordered_views:
             return False
         next_matches = sum(
-            (k, k + 1) in self.matches or self._share_tracks(k, k + 1) for k in range(count - 1)
+            (k, k + 1) in self.matches or self._have_common_tracks(k, k + 1)
+            for k in range(count - 1)
         )
         other_matches = {view for pair in self.matches if pair[1] - pair[0] > 1 for view in pair}
         return (
@@ -140,7 +141,7 @@ class ViewSelection:
             and len(other_matches) > TRACKS.min_other_share * count
         )
 
-    def _share_tracks(self, first: int, second: int) -> bool:
+    def _have_common_tracks(self, first: int, second: int) -> bool:
         index, _ = self.views[first].observations.common_tracks(self.views[second].observations)
         return len(index) >= TRACKS.min_matches
 
@@ -153,7 +154,7 @@ class ViewSelection:
         min_matches: int,
         min_share: float,
     ) -> None:
-        self._compared_pairs.add((earlier, later))
+        self._tested_pairs.add((earlier, later))
         first, second = (
             self._descriptors[earlier].to_features(),
             self._descriptors[later].to_features(),
@@ -173,7 +174,10 @@ class ViewSelection:
     def _find_inliers(
         self, before: np.ndarray, after: np.ndarray, shape: tuple[int, ...]
     ) -> np.ndarray | None:
-        """Return the inliers of one motion, (N, 1); None if there is no motion."""
+        """Return the inliers of one motion among matching points, (N, 2) px, as (N, 1) uint8.
+
+        None is returned if no motion is found.
+        """
         height, width = shape
         threshold = TRACKS.epipolar_tolerance * max(height, width) / 640
         try:
@@ -218,36 +222,43 @@ def _detect_features(grey: np.ndarray, ignored: np.ndarray | None) -> Features:
 
 def choose_long_tracks(
     observations: Sequence[Observations],  # tracks in views
-    longer_side: int,  # longer side of the frames, px
+    longer_side: int,  # px, of the frames
 ) -> list[Observations]:
     """Return the observations of the longest track in each cell of each view.
 
-    A track that few views see adds work but hardly any information that long tracks do not have.
-    With fewer tracks, matches of points by appearance, which do not drift, get more weight.
+    Short tracks add work, but hardly any information. With fewer tracks, matches of points by
+    appearance, which do not drift, get more weight.
     """
     if not observations:
         return []
     selected: list[np.ndarray] = []
     for cells in TRACKS.cell_counts:
         selected = _longest_per_cell(observations, longer_side / cells)
-        if np.median([len(own) for own in selected]) >= TRACKS.min_tracks:
+        if np.median([len(view_tracks) for view_tracks in selected]) >= TRACKS.min_tracks:
             break
     tracks = np.unique(np.concatenate(selected))
-    return [own.select(np.isin(own.tracks, tracks)) for own in observations]
+    return [
+        view_observations.select(np.isin(view_observations.tracks, tracks))
+        for view_observations in observations
+    ]
 
 
 def _longest_per_cell(observations: Sequence[Observations], side: float) -> list[np.ndarray]:
-    """Return, for each view, the track of each cell of a side in px that most views see."""
-    tracks, views = np.unique(
-        np.concatenate([own.tracks for own in observations]), return_counts=True
+    """Return, for each view, the track in each cell that most views show.
+
+    `side` is the side of a cell, px.
+    """
+    tracks, view_counts = np.unique(
+        np.concatenate([view_observations.tracks for view_observations in observations]),
+        return_counts=True,
     )
     selected = []
-    for own in observations:
-        lengths = views[np.searchsorted(tracks, own.tracks)]
-        column, row = (own.points // side).astype(np.int64).T
-        order = np.lexsort((own.tracks, -lengths, column, row))
+    for view_observations in observations:
+        lengths = view_counts[np.searchsorted(tracks, view_observations.tracks)]
+        column, row = (view_observations.points // side).astype(np.int64).T
+        order = np.lexsort((view_observations.tracks, -lengths, column, row))
         cell = np.stack([row, column], axis=1)[order]
         first = np.ones(len(order), bool)
         first[1:] = (np.diff(cell, axis=0) != 0).any(axis=1)
-        selected.append(own.tracks[order[first]])
+        selected.append(view_observations.tracks[order[first]])
     return selected
