@@ -110,8 +110,8 @@ def test_forward_path_scores_more_than_one_that_goes_sideways(monkeypatch):
     right = shared.grow_models(CAMERA)[0]
     monkeypatch.setattr(growing, "first_pair_tolerance", lambda longer_side: 4.0)
     wrong = shared.grow_models(CAMERA)[0]
-    assert is_forward(shared.model(right).poses)
-    assert forward_and_turn(shared.model(wrong).poses)[0] < 0.5
+    assert is_forward(shared.make_model(right).poses)
+    assert forward_and_turn(shared.make_model(wrong).poses)[0] < 0.5
     assert wrong.compute_num_observations() > 1.5 * right.compute_num_observations()
     assert shared.score([right]) > 1.1 * shared.score([wrong])
 

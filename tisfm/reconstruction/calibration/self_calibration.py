@@ -75,7 +75,7 @@ def find_models_and_focal(
         replace(view, observations=undistort_observations(view.observations, lens, shape))
         for view in views
     ]
-    return graph.models(reconstructions, undistorted_views, lens.pinhole()), estimate
+    return graph.make_models(reconstructions, undistorted_views, lens.pinhole()), estimate
 
 
 def undistort_observations(

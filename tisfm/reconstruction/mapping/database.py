@@ -22,7 +22,7 @@ PIXEL_CENTRE = 0.5
 
 @cache
 def pycolmap() -> Any:
-    """Return the module; it writes only fatal errors to standard error."""
+    """Return the module pycolmap, which then writes only fatal errors to standard error."""
     import pycolmap as module
 
     log = module.logging
@@ -48,16 +48,19 @@ def colmap_camera(camera: Camera, shape: tuple[int, int], calibrate: Calibrate =
 def match_pairs(
     views: Sequence[View], matches: Mapping[tuple[int, int], np.ndarray]
 ) -> dict[tuple[int, int], np.ndarray]:
-    """Return, for pairs of indices of views, the indices of matching points, (N, 2)."""
-    near_pairs = {(k, k + step) for step in MAPPING.view_steps for k in range(len(views) - step)}
+    """Return, by pair of view indices, the indices of matching points, (N, 2).
+
+    Points of a view are its tracks, followed by its detected points.
+    """
+    track_pairs = {(k, k + step) for step in MAPPING.view_steps for k in range(len(views) - step)}
     pairs = {}
-    for first, second in sorted(near_pairs | set(matches)):
+    for first, second in sorted(track_pairs | set(matches)):
         indices = np.empty((0, 2), np.intp)
-        if (first, second) in near_pairs:
-            indices = _common_tracks(views[first].observations, views[second].observations)
+        if (first, second) in track_pairs:
+            indices = _shared_track_indices(views[first].observations, views[second].observations)
         if (first, second) in matches:
-            begins = [len(views[k].observations.points) for k in (first, second)]
-            indices = np.vstack([indices, matches[first, second] + begins])
+            track_counts = [len(views[k].observations.points) for k in (first, second)]
+            indices = np.vstack([indices, matches[first, second] + track_counts])
         if len(indices) >= MAPPING.min_observations:
             pairs[first, second] = indices.astype(np.int32)
     return pairs
@@ -80,7 +83,7 @@ def open_database(
 class MatchDirections(Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]):
     """Unit directions to matching points, by the ids of two views; computed on access.
 
-    All of them together would need many times the memory of the views.
+    The directions of all pairs together would need many times the memory of the views.
     """
 
     def __init__(
@@ -95,8 +98,8 @@ class MatchDirections(Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]):
             points = np.vstack([view.observations.points, view.detected])
             self._rays.append(unit_vectors(pinhole_rays(points, camera, shape)))
 
-    def __getitem__(self, numbers: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-        first, second = numbers[0] - 1, numbers[1] - 1
+    def __getitem__(self, view_ids: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+        first, second = view_ids[0] - 1, view_ids[1] - 1
         indices = self._pairs[first, second]
         return self._rays[first][indices[:, 0]], self._rays[second][indices[:, 1]]
 
@@ -112,16 +115,16 @@ def _write_views(database: Any, views: Sequence[View], camera: Any) -> None:
     rig = pycolmap().Rig(rig_id=1)
     rig.add_ref_sensor(camera.sensor_id)
     database.write_rig(rig, use_rig_id=True)
-    for number, view in enumerate(views, start=1):
+    for view_id, view in enumerate(views, start=1):
         image = pycolmap().Image(
-            name=str(view.frame), camera_id=1, image_id=number, frame_id=number
+            name=str(view.frame), camera_id=1, image_id=view_id, frame_id=view_id
         )
-        frame = pycolmap().Frame(frame_id=number, rig_id=1)
+        frame = pycolmap().Frame(frame_id=view_id, rig_id=1)
         frame.add_data_id(image.data_id)
         database.write_frame(frame, use_frame_id=True)
         database.write_image(image, use_image_id=True)
         points = np.vstack([view.observations.points, view.detected]) + PIXEL_CENTRE
-        database.write_keypoints(number, points.astype(np.float32))
+        database.write_keypoints(view_id, points.astype(np.float32))
 
 
 def _write_pairs(database: Any, pairs: Mapping[tuple[int, int], np.ndarray]) -> None:
@@ -132,8 +135,8 @@ def _write_pairs(database: Any, pairs: Mapping[tuple[int, int], np.ndarray]) -> 
         database.write_two_view_geometry(first + 1, second + 1, geometry)
 
 
-def _common_tracks(first: Observations, second: Observations) -> np.ndarray:
-    """Return the indices in two views of the tracks that they share, (N, 2)."""
+def _shared_track_indices(first: Observations, second: Observations) -> np.ndarray:
+    """Return the indices of shared tracks in two views, (N, 2); none if the views share few."""
     index0, index1 = first.common_tracks(second)
     if len(index0) < MAPPING.min_shared_tracks:
         return np.empty((0, 2), np.intp)

@@ -1,4 +1,7 @@
-"""Incremental mapping: a first pair of views, then each view that sees enough known points."""
+"""Incremental mapping: a first pair of views, then each view that shows enough mapped points.
+
+Views have pycolmap's ids, which begin with 1.
+"""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, Protocol
@@ -18,8 +21,8 @@ from tisfm.reconstruction.result.calibration import Calibrate
 Pairs = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
 
 
-class Score(Protocol):
-    """How well models explain the matches of views; see `MatchScorer`."""
+class Scorer(Protocol):
+    """Scores how well models explain the matches of views: see `MatchScorer`."""
 
     def score(self, model: Any) -> float:
         """Return the sum of the scores of the matches between the views of a model."""
@@ -28,16 +31,15 @@ class Score(Protocol):
         """Return the mean match score of the worst view, divided by the median over all views."""
 
     def match_count(self, views: Collection[int] | None = None) -> int:
-        """Return the number of matches between views; numbers of views begin with 1."""
+        """Return the number of matches between views with these ids; by default of all views."""
 
 
 def grow_models(
     database: Any,
-    # mapping of (int, int) to two (N, 3) arrays: for pairs of views (numbers begin with 1): unit
-    # directions to matching points
+    # by pair of view ids: unit directions to the matching points in both views, two (N, 3) arrays
     pairs: Pairs,
     count: int,  # number of views
-    score: Score,  # compares models that begin with different pairs
+    scorer: Scorer,  # it compares models that begin with different pairs
     # the part of the camera that is adjusted together with poses and points, from its current value
     calibrate: Calibrate = "nothing",
     *,
@@ -51,52 +53,54 @@ def grow_models(
     first_pairs = _FirstPairs(pairs, is_focal_known)
     models = []
     while len(remaining) >= MAPPING.min_views:
-        model = _build_model(mapper, score, options, first_pairs, remaining)
+        model = _build_model(mapper, scorer, options, first_pairs, remaining)
         if model is None:
             break
         remaining -= set(model.reg_image_ids())
         models.append(model)
-    return sorted(models, key=lambda one: (-one.num_reg_images(), min(one.reg_image_ids())))
+    return sorted(models, key=lambda model: (-model.num_reg_images(), min(model.reg_image_ids())))
 
 
 def grow_from_poses(
     database: Any,
-    # mapping of int to (3, 4) array: world to camera, for at least two views; numbers of views
-    # begin with 1
+    # by view id, for at least two views: (3, 4) array, world to camera
     known_poses: Mapping[int, np.ndarray],
     *,
-    # Whether the known poses stay fixed. Otherwise they are adjusted with all others.
-    fixed: bool = True,
-    allowed: Collection[int] | None = None,  # the views that may be added; by default all others
+    # Whether the known poses stay fixed. Otherwise they are adjusted with all other poses.
+    are_poses_fixed: bool = True,
+    # ids of the views that may be added; by default all views without a known pose
+    allowed: Collection[int] | None = None,
 ) -> Any:
     """Return pycolmap's reconstruction, continued from views with known poses."""
     cache, mapper, options = _open_mapper(database)
-    options.mapper.fix_existing_frames = fixed
+    options.mapper.fix_existing_frames = are_poses_fixed
     model = pycolmap().Reconstruction()
     model.load(cache)
-    known_poses = {number: pose for number, pose in known_poses.items() if number in cache.images}
-    if len(known_poses) < 2:  # the other known views share no points with any view
+    known_poses = {
+        view_id: pose for view_id, pose in known_poses.items() if view_id in cache.images
+    }
+    if len(known_poses) < 2:  # the other views with known poses share no points with any view
         return model
-    for number, pose in known_poses.items():
-        model.frame(number).rig_from_world = pycolmap().Rigid3d(pose)
-        model.register_frame(number)
+    for view_id, pose in known_poses.items():
+        model.frame(view_id).rig_from_world = pycolmap().Rigid3d(pose)
+        model.register_frame(view_id)
     mapper.begin_reconstruction(model)
-    for number in known_poses:
-        mapper.triangulate_image(options.triangulation, number)
+    for view_id in known_poses:
+        mapper.triangulate_image(options.triangulation, view_id)
     others = set(cache.images) if allowed is None else set(cache.images) & set(allowed)
-    _add_views(mapper, model, options, others - set(known_poses), is_rough=not fixed)
+    _add_views(mapper, model, options, others - set(known_poses), is_rough=not are_poses_fixed)
     mapper.end_reconstruction(False)
     return model
 
 
 def shows_parallax(
     database: Any,  # its camera has the estimated focal length
-    # mapping of (int, int) to two (N, 3) arrays: as for `grow_models`, with that focal length
+    # as for `grow_models`, with directions for this focal length
     pairs: Pairs,
 ) -> bool:
     """Return whether enough of the best pairs show parallax beyond a rotation.
 
-    If few of them do, matching errors determine the focal length and the path.
+    If few pairs show parallax, matching errors determine the focal length and the path.
     """
     _, mapper, options = _open_mapper(database)
     first_pairs = _FirstPairs(pairs, is_focal_known=True)
@@ -105,10 +109,10 @@ def shows_parallax(
 
 def _open_mapper(database: Any, calibrate: Calibrate = "nothing") -> tuple[Any, Any, Any]:
     """Return the cache of a database, its mapper and the options of the mapper."""
-    settings = pycolmap().DatabaseCacheOptions()
-    settings.min_num_matches = MAPPING.min_observations
-    cache = pycolmap().DatabaseCache.create(database, settings)
-    options = _options(calibrate)
+    cache_options = pycolmap().DatabaseCacheOptions()
+    cache_options.min_num_matches = MAPPING.min_observations
+    cache = pycolmap().DatabaseCache.create(database, cache_options)
+    options = _mapper_options(calibrate)
     camera = next(iter(cache.cameras.values()))
     options.mapper.init_max_error = first_pair_tolerance(max(camera.width, camera.height))
     return cache, pycolmap().IncrementalMapper(cache), options
@@ -134,7 +138,7 @@ class _FirstPairs:
     ) -> Iterator[tuple[int, int, Any]]:
         """Yield pairs of remaining views, with the motion from the first to the second.
 
-        Pairs near `used_views` are left out; the caller may extend this list meanwhile.
+        Pairs near `used_views` are left out. The caller may extend this list between two pairs.
         """
         pairs = [pair for pair in self._ranked_pairs if remaining.issuperset(pair)]
         min_distance = min(
@@ -152,7 +156,7 @@ class _FirstPairs:
     def parallax_share(self, mapper: Any, options: Any) -> float:
         """Return the share, from 0 to 1, of the best pairs from which a path may begin.
 
-        Pairs whose matches fit no motion are not counted.
+        Pairs whose matches fit no motion are left out of the count.
         """
         options.mapper.init_min_tri_angle = MAPPING.first_pair_angles[-1]
         has_parallax = []
@@ -172,7 +176,7 @@ class _FirstPairs:
                     weights[pair] = len(before) * min(
                         float(np.quantile(angles, MAPPING.parallax_quantile)), MAPPING.max_parallax
                     )
-        return sorted(weights, key=lambda one: (-weights[one], one))
+        return sorted(weights, key=lambda pair: (-weights[pair], pair))
 
     def _has_parallax(self, motion: np.ndarray, first: int, second: int) -> bool:
         """Return whether a motion, (3, 4), explains directions much better than simpler motions.
@@ -193,7 +197,7 @@ class _FirstPairs:
 
 
 def _build_model(
-    mapper: Any, score: Score, options: Any, first_pairs: _FirstPairs, remaining: set[int]
+    mapper: Any, scorer: Scorer, options: Any, first_pairs: _FirstPairs, remaining: set[int]
 ) -> Any | None:
     """Return a reconstruction of some of the remaining views, or None.
 
@@ -202,7 +206,7 @@ def _build_model(
     the model with the best score is returned.
     """
     best, best_score, used_views, is_accepted = None, 0.0, list[int](), False
-    min_score = MAPPING.min_mean_score * score.match_count(remaining)
+    min_score = MAPPING.min_mean_score * scorer.match_count(remaining)
     for pair in first_pairs.candidates(mapper, options, remaining, used_views):
         used_views += pair[:2]
         model = pycolmap().Reconstruction()
@@ -212,11 +216,11 @@ def _build_model(
         _add_views(mapper, model, options, remaining)
         mapper.end_reconstruction(False)
         if model.num_reg_images() >= MAPPING.min_views:
-            total_score = score.score(model)
+            total_score = scorer.score(model)
             is_consistent = (
                 model.num_reg_images() > MAPPING.small_model_views
                 and total_score > min_score
-                and score.worst_view_share(model) > MAPPING.min_worst_view_share
+                and scorer.worst_view_share(model) > MAPPING.min_worst_view_share
             )
             is_accepted = (
                 is_consistent
@@ -232,15 +236,16 @@ def _build_model(
 def _add_views(
     mapper: Any, model: Any, options: Any, remaining: set[int], *, is_rough: bool = False
 ) -> None:
-    """Add views to a model; if its poses are rough, they are adjusted first."""
-    local = options.get_local_bundle_adjustment()
+    """Add remaining views to a model; if the poses of the model are rough, adjust them first."""
+    local_options = options.get_local_bundle_adjustment()
     low_parallax_filter = LowParallaxFilter(mapper, model)
 
     def adjust_all(
         rounds: int,
-        limits: tuple[int, float],  # steps and tolerance
+        limits: tuple[int, float],  # largest number of steps, and tolerance
         outlier_pixels: float = MAPPING.outlier_pixels,
     ) -> tuple[int, int]:
+        """Adjust all views; return the numbers of views and of points."""
         mapper.iterative_global_refinement(
             rounds,
             MAPPING.max_changed_share,
@@ -258,17 +263,22 @@ def _add_views(
     if points == 0:
         return
     while True:
-        for number in mapper.find_next_images(options.mapper, False):
-            if number in remaining and mapper.register_next_image(options.mapper, number):
+        for view_id in mapper.find_next_images(options.mapper, False):
+            if view_id in remaining and mapper.register_next_image(options.mapper, view_id):
                 break
         else:
             break
-        mapper.triangulate_image(options.triangulation, number)
-        low_parallax_filter.delete_points(number)
+        mapper.triangulate_image(options.triangulation, view_id)
+        low_parallax_filter.delete_points(view_id)
         mapper.iterative_local_refinement(
-            1, MAPPING.max_changed_share, options.mapper, local, options.triangulation, number
+            1,
+            MAPPING.max_changed_share,
+            options.mapper,
+            local_options,
+            options.triangulation,
+            view_id,
         )
-        low_parallax_filter.delete_points(number)
+        low_parallax_filter.delete_points(view_id)
         counts = model.num_reg_images(), model.num_points3D()
         if (
             counts[0] >= MAPPING.growth_factor * views
@@ -279,7 +289,7 @@ def _add_views(
     adjust_all(later_rounds, MAPPING.final_limits)
 
 
-def _options(calibrate: Calibrate) -> Any:
+def _mapper_options(calibrate: Calibrate) -> Any:
     options = pycolmap().IncrementalPipelineOptions()
     options.ba_refine_focal_length = calibrate != "nothing"
     options.ba_refine_extra_params = calibrate == "radial"
@@ -301,7 +311,10 @@ def _options(calibrate: Calibrate) -> Any:
 
 
 def robust_adjustment(adjustment: Any, steps: int, tolerance: float, outlier_pixels: float) -> Any:
-    """Return pycolmap's options of an adjustment, with a robust loss and at most `steps` steps."""
+    """Set a robust loss and the limits of steps in pycolmap's options; return the options.
+
+    `tolerance` is the relative change of the squared residuals that ends the steps.
+    """
     adjustment.print_summary = False
     adjustment.ceres.loss_function_type = pycolmap().LossFunctionType.CAUCHY
     adjustment.ceres.loss_function_scale = outlier_pixels

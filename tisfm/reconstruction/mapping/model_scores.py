@@ -1,11 +1,11 @@
-"""How well models explain the matches of views: scores of models, and the area that they explain.
+"""Scores of models, and the area of frames that models explain.
 
-The score counts every match, with or without a triangulated point. If the camera moves forward, far
-points often have no triangulated position. The number of triangulated observations may then prefer
-a wrong path with sideways motion.
+The score tells how well a model explains the matches of views. It counts every match, with or
+without a triangulated point. If the camera moves forward, far points often have no triangulated
+position. The number of triangulated observations may then prefer a wrong path with sideways motion.
 
-The area tells which motion is the motion of the static scene. A moving object may have more texture
-than the static scene, and so more points.
+The area tells whether a model follows the static scene. A moving object may have more texture than
+the static scene, and so more points.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -22,8 +22,8 @@ from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.tracks.views import View
 
 Pairs = Mapping[tuple[int, int], np.ndarray]
-"""(N, 2) int arrays by pairs of indices of views: indices of matching points, tracks first, then
-detected points."""
+"""By pair of view indices: (N, 2) int array, the indices of matching points. Points of a view are
+its tracks, followed by its detected points."""
 
 
 class MatchScorer:
@@ -31,7 +31,7 @@ class MatchScorer:
 
     The score of a match is 1/(1 + (d/s)²). d is the distance, px, of the point in the second view
     from the epipolar half line of the point in the first view, which begins at infinite depth. s is
-    half the tolerance of first pairs.
+    half the tolerance of first pairs (`first_pair_tolerance`).
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class MatchScorer:
         self,
         views: Collection[int] | None = None,  # pycolmap's numbers of views, which begin with 1
     ) -> int:
-        """Return the number of matches between views; by default of all."""
+        """Return the number of matches between these views; by default between all views."""
         if views is None:
             return sum(map(len, self._pairs.values()))
         selected = set(views)
@@ -64,8 +64,8 @@ class MatchScorer:
     def worst_view_share(self, model: Any) -> float:
         """Return the mean match score of the worst view, divided by the median over all views.
 
-        It is near 1 in a right model. It is small if one view has a wrong pose, though the model
-        explains most matches.
+        The share is near 1 for a right model. It is small if one view has a wrong pose, even if the
+        model explains most matches.
         """
         sums: dict[int, np.ndarray] = {}
         for pair, score in self._pair_scores(model).items():
@@ -105,16 +105,17 @@ def half_line_distances(
     translation = pose1[:, 3] - rotation @ pose0[:, 3]
     image_points = after / after[:, 2:]
     normal = np.cross(infinite, translation)
-    slope = np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-12)
-    to_line = np.abs((image_points * normal).sum(axis=1)) / slope
-    # Beyond infinity a point would lie behind the cameras; beyond the epipole, behind the first.
+    normal_length = np.maximum(np.hypot(normal[:, 0], normal[:, 1]), 1e-12)
+    to_line = np.abs((image_points * normal).sum(axis=1)) / normal_length
+    # A point beyond infinity would lie behind both cameras. A point beyond the epipole would lie
+    # behind the first camera.
     beyond_infinity = (np.cross(infinite, after) * normal).sum(axis=1) < 0
     beyond_epipole = (np.cross(after, translation) * normal).sum(axis=1) < 0
-    is_open = np.linalg.norm(normal, axis=1) < 1e-12  # no translation, or along the direction
+    has_no_line = np.linalg.norm(normal, axis=1) < 1e-12  # the translation is 0 or along it
     to_infinity = _distance_to(infinite, image_points)
     to_epipole = _distance_to(np.broadcast_to(translation, image_points.shape), image_points)
     distances = np.where(beyond_epipole, to_epipole, to_line)
-    return np.where(beyond_infinity | is_open, to_infinity, distances)
+    return np.where(beyond_infinity | has_no_line, to_infinity, distances)
 
 
 def _distance_to(direction: np.ndarray, image_points: np.ndarray) -> np.ndarray:
@@ -148,11 +149,14 @@ class Coverage:
 
     def explained_matches(self, models: Sequence[Any]) -> dict[tuple[int, int], np.ndarray]:
         """Return, for each pair of views, the matches that any pycolmap reconstruction explains."""
-        model_of = {view - 1: k for k, one in enumerate(models) for view in one.reg_image_ids()}
+        model_of_view = {
+            view - 1: k for k, model in enumerate(models) for view in model.reg_image_ids()
+        }
         is_explained = {
             (first, second): np.zeros(len(indices), bool)
             for (first, second), indices in self._pairs.items()
-            if model_of.get(first) == model_of.get(second) or not {first, second} <= set(model_of)
+            if model_of_view.get(first) == model_of_view.get(second)
+            or not {first, second} <= set(model_of_view)
         }
         for model in models:
             for pair, geometry in _pairs_of_model(model, self._points, self._pairs):
@@ -170,13 +174,13 @@ class Coverage:
         return float(explained_sum / total) if total else 0.0
 
     def _areas(self, grid: np.ndarray) -> list[np.ndarray]:
-        """Return, by view, the share of grid points nearest to each matched point; else 0."""
-        matched = [np.zeros(len(points), bool) for points in self._points]
+        """Return, by view, the share of grid points nearest to each matched point; 0 for others."""
+        matched_masks = [np.zeros(len(points), bool) for points in self._points]
         for (first, second), indices in self._pairs.items():
-            matched[first][indices[:, 0]] = True
-            matched[second][indices[:, 1]] = True
+            matched_masks[first][indices[:, 0]] = True
+            matched_masks[second][indices[:, 1]] = True
         areas = []
-        for points, is_matched in zip(self._points, matched, strict=True):
+        for points, is_matched in zip(self._points, matched_masks, strict=True):
             area = np.zeros(len(points))
             if is_matched.any():
                 _, nearest = cKDTree(points[is_matched]).query(grid)

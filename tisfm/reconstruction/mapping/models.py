@@ -37,20 +37,20 @@ class Model:
 
     poses: dict[int, np.ndarray]  # dict of int to (4, 4) float64: camera to world, by frame
     points: TrackPoints  # positions of tracks, in the world
-    # How well the model explains the matches of its views (`MatchScorer`). It is 0 for a model that
+    # The sum of the scores of its views' matches (`MatchScorer`). It is 0 for a model that
     # is joined from submaps (models of parts of the sequence) or continues an earlier model.
     score: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class ViewGraph:
-    """Views with their tracks and matches, from which models are built."""
+    """Views with their tracks and matches; builds models from them."""
 
     views: list[View]  # views with their longest tracks
-    # dict of (int, int) to (N, 2) int32: for pairs of indices of views: indices of matching points
+    # by pair of view indices: (N, 2) int32, the indices of matching points
     pairs: dict[tuple[int, int], np.ndarray]
     shape: tuple[int, int]  # height and width of the frames, px
-    is_focal_known: bool = True  # whether the focal length is known, or is a guess
+    is_focal_known: bool = True  # whether the focal length is known; otherwise it is a guess
 
     @classmethod
     def from_views(
@@ -61,14 +61,17 @@ class ViewGraph:
         *,
         is_focal_known: bool = True,
     ) -> "ViewGraph":
-        """Return the graph of views; arguments are those of `find_models`."""
+        """Return the graph of views; the arguments are those of `find_models`."""
         tracks = choose_long_tracks([view.observations for view in views], max(shape))
-        views = [replace(view, observations=own) for view, own in zip(views, tracks, strict=True)]
+        views = [
+            replace(view, observations=view_tracks)
+            for view, view_tracks in zip(views, tracks, strict=True)
+        ]
         pairs = match_pairs(views, matches)
         return cls(views=views, pairs=pairs, shape=shape, is_focal_known=is_focal_known)
 
     def subgraph(self, first: int, last: int) -> "ViewGraph":
-        """Return the graph of the views from `first` to before `last`."""
+        """Return the graph of the views with indices from `first` to `last` − 1."""
         inside = range(first, last)
         pairs = {
             (earlier - first, later - first): indices
@@ -80,20 +83,28 @@ class ViewGraph:
     def grow_models(self, camera: Camera, calibrate: Calibrate = "nothing") -> list[Any]:
         """Return pycolmap's reconstructions, the largest first.
 
-        Each has the focal length of the camera, or its own estimate, and maybe a radial
-        coefficient. Models may follow a moving object that has more points than the static scene.
-        So if much of the area of the frames is unexplained, other models are built from the
-        unexplained matches. They replace the first models if they explain more area.
+        Each reconstruction has the focal length of the camera, or its own estimate, and a radial
+        coefficient if it is calibrated. Models may follow a moving object that has more points than
+        the static scene. So if much of the area of the frames is unexplained, other models are
+        built from the unexplained matches. They replace the first models if they explain more area.
         """
         models = self._build_models(self.pairs, camera, calibrate)
         coverage = Coverage(self.views, self.pairs, self.shape)
         explained = coverage.explained_matches(models)
         while models and coverage.explained_area(explained) < MAPPING.min_coverage:
-            rest = {**self.pairs, **{pair: self.pairs[pair][~e] for pair, e in explained.items()}}
-            rest = {
-                pair: left for pair, left in rest.items() if len(left) >= MAPPING.min_observations
+            unexplained = {
+                **self.pairs,
+                **{
+                    pair: self.pairs[pair][~is_explained]
+                    for pair, is_explained in explained.items()
+                },
             }
-            others = self._build_models(rest, camera, calibrate)
+            unexplained = {
+                pair: indices
+                for pair, indices in unexplained.items()
+                if len(indices) >= MAPPING.min_observations
+            }
+            others = self._build_models(unexplained, camera, calibrate)
             others_explained = coverage.explained_matches(others)
             if coverage.explained_area(others_explained) <= coverage.explained_area(explained):
                 break
@@ -104,8 +115,8 @@ class ViewGraph:
         self, pairs: Mapping[tuple[int, int], np.ndarray], camera: Camera, calibrate: Calibrate
     ) -> list[Any]:
         directions = MatchDirections(self.views, pairs, camera, self.shape)
-        camera_of_views = colmap_camera(camera, self.shape, calibrate)
-        with open_database(self.views, pairs, camera_of_views) as database:
+        adjusted_camera = colmap_camera(camera, self.shape, calibrate)
+        with open_database(self.views, pairs, adjusted_camera) as database:
             return grow_models(
                 database,
                 directions,
@@ -122,7 +133,7 @@ class ViewGraph:
             return shows_parallax(database, directions)
 
     def score(self, reconstructions: Sequence[Any]) -> float:
-        """Return how well pycolmap's reconstructions explain the matches: their mean score."""
+        """Return the mean score of the matches in pycolmap's reconstructions, from 0 to 1."""
         score = MatchScorer(self.views, self.pairs, self.shape)
         return sum(map(score.score, reconstructions)) / max(score.match_count(), 1)
 
@@ -131,24 +142,24 @@ class ViewGraph:
         return sum(map(len, self.pairs.values()))
 
     def continue_model(self, camera: Camera, known_poses: Mapping[int, np.ndarray]) -> Any:
-        """Return pycolmap's reconstruction, continued from fixed known poses, by frame."""
-        matrices = {
+        """Return pycolmap's reconstruction, continued from fixed poses, by frame."""
+        inverse_poses = {
             number: np.linalg.inv(known_poses[view.frame])[:3]
             for number, view in enumerate(self.views, start=1)
             if view.frame in known_poses
         }
         known_camera = colmap_camera(camera, self.shape)
         with open_database(self.views, self.pairs, known_camera) as database:
-            return grow_from_poses(database, matrices)
+            return grow_from_poses(database, inverse_poses)
 
-    def models(
+    def make_models(
         self, reconstructions: Sequence[Any], views: Sequence[View], camera: Camera
     ) -> list[Model]:
         """Return models of pycolmap's reconstructions, with points of all tracks of the views."""
-        models = [self.model(reconstruction) for reconstruction in reconstructions]
+        models = [self.make_model(reconstruction) for reconstruction in reconstructions]
         return [_add_track_points(model, views, camera, self.shape) for model in models]
 
-    def model(self, reconstruction: Any) -> Model:
+    def make_model(self, reconstruction: Any) -> Model:
         """Return the model of a reconstruction, with the points of its adjusted tracks."""
         score = MatchScorer(self.views, self.pairs, self.shape).score(reconstruction)
         return replace(_model_of_reconstruction(reconstruction, self.views), score=score)
@@ -156,8 +167,8 @@ class ViewGraph:
 
 def find_models(
     views: Sequence[View],  # in the order of their frames
-    # mapping of (int, int) to (N, 2) int array: for pairs of indices of views, the smaller first:
-    # indices of their detected points that match
+    # by pair of view indices, the smaller index first: (N, 2) int array, the indices of their
+    # detected points that match
     matches: Mapping[tuple[int, int], np.ndarray],
     camera: Camera,  # pinhole camera
     shape: tuple[int, int],  # height and width of the frames, px
@@ -174,7 +185,7 @@ def find_models(
     incremental mapping, with pycolmap's steps.
     """
     graph = ViewGraph.from_views(views, matches, shape, is_focal_known=is_focal_known)
-    return graph.models(graph.grow_models(camera), views, camera)
+    return graph.make_models(graph.grow_models(camera), views, camera)
 
 
 def continue_model(
@@ -183,10 +194,10 @@ def continue_model(
     matches: Mapping[tuple[int, int], np.ndarray],
     camera: Camera,
     shape: tuple[int, int],
-    # mapping of int to (4, 4) array: camera to world, by frame, for at least two views
+    # by frame, for at least two views: (4, 4) array, camera to world
     known_poses: Mapping[int, np.ndarray],
 ) -> Model:  # in the axes and the unit of the known poses, with the known poses unchanged
-    """Find poses of more views, and points; the known poses of some views are fixed."""
+    """Find the poses of more views, and points; the known poses stay fixed."""
     graph = ViewGraph.from_views(views, matches, shape)
     model = _model_of_reconstruction(graph.continue_model(camera, known_poses), graph.views)
     poses = {**model.poses, **{f: known_poses[f] for f in known_poses if f in model.poses}}
@@ -199,7 +210,7 @@ def readjust_models(
     matches: Mapping[tuple[int, int], np.ndarray],
     camera: Camera,
     shape: tuple[int, int],
-    # sequence of mapping of int to (4, 4) array: camera to world, by frame, for each model
+    # for each model, by frame: (4, 4) array, camera to world
     known_poses: Sequence[Mapping[int, np.ndarray]],
 ) -> list[Model]:
     """Find poses of views and points of tracks, starting from approximate poses.
@@ -213,11 +224,15 @@ def readjust_models(
     reconstructions = []
     with open_database(graph.views, graph.pairs, colmap_camera(camera, shape)) as database:
         for poses in known_poses:
-            matrices = {numbers[frame]: np.linalg.inv(pose)[:3] for frame, pose in poses.items()}
-            model = grow_from_poses(database, matrices, fixed=False, allowed=remaining)
+            inverse_poses = {
+                numbers[frame]: np.linalg.inv(pose)[:3] for frame, pose in poses.items()
+            }
+            model = grow_from_poses(
+                database, inverse_poses, are_poses_fixed=False, allowed=remaining
+            )
             remaining -= set(model.reg_image_ids())
             reconstructions.append(model)
-    return [model for model in graph.models(reconstructions, views, camera) if model.poses]
+    return [model for model in graph.make_models(reconstructions, views, camera) if model.poses]
 
 
 def pose_from_points(

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from tisfm.reconstruction.mapping.settings import MAPPING
 
-# Smallest z of a unit direction that is projected. Set by hand.
+# Smallest z of a unit direction that is projected to an image. Set by hand.
 MIN_Z = 1e-3
 
 
@@ -76,7 +76,10 @@ def rotation_residuals(before: np.ndarray, after: np.ndarray) -> np.ndarray:
 
 
 def _rotate_and_zoom(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Return points moved by the best rotation and focal length; all (N, 2), in focal lengths."""
+    """Return the start points moved by the best rotation and focal length.
+
+    All points are (N, 2): image positions divided by the stated focal length.
+    """
     rotation, log_focal, weights = np.eye(3), 0.0, np.ones(len(start))
     for round_number in range(MAPPING.rotation_steps):
         focal = np.exp(log_focal)
@@ -89,25 +92,31 @@ def _rotate_and_zoom(start: np.ndarray, end: np.ndarray) -> np.ndarray:
         if round_number:
             weights = 1 / (distance + MAPPING.match_noise)
         # Derivatives of the projection by a rotation (ω × ray) from the left, and by log f.
-        by_rotation = focal * np.stack(
+        rotation_jacobian = focal * np.stack(
             [np.column_stack([-u * v, -1 - v * v]), np.column_stack([1 + u * u, u * v]),
              np.column_stack([-v, u])], axis=2,
         )  # fmt: skip
-        slope = -start / focal @ rotation[:, :2].T  # d(ray)/d(log f)
-        by_focal = focal * np.column_stack(
-            [u + (slope[:, 0] - u * slope[:, 2]) / z, v + (slope[:, 1] - v * slope[:, 2]) / z]
+        ray_derivative = -start / focal @ rotation[:, :2].T  # d(ray)/d(log f)
+        focal_jacobian = focal * np.column_stack(
+            [
+                u + (ray_derivative[:, 0] - u * ray_derivative[:, 2]) / z,
+                v + (ray_derivative[:, 1] - v * ray_derivative[:, 2]) / z,
+            ]
         )
-        jacobian = np.concatenate([by_rotation, by_focal[:, :, None]], axis=2)
+        jacobian = np.concatenate([rotation_jacobian, focal_jacobian[:, :, None]], axis=2)
         weighted = jacobian * weights[:, None, None]
         matrix = np.einsum("nik,nil->kl", weighted, jacobian)
         vector = np.einsum("nik,ni->k", weighted, residual)
         matrix += 1e-9 * np.trace(matrix) * np.eye(4) + 1e-30 * np.eye(4)
         step = np.linalg.solve(matrix, vector)
-        target = log_focal + step[3]
+        free_log_focal = log_focal + step[3]
         next_log_focal = float(
-            np.clip(target, np.log(MAPPING.min_focal_ratio), np.log(MAPPING.max_focal_ratio))
+            np.clip(
+                free_log_focal, np.log(MAPPING.min_focal_ratio), np.log(MAPPING.max_focal_ratio)
+            )
         )
-        if next_log_focal != target:  # the best rotation at the limit
+        if next_log_focal != free_log_focal:
+            # The focal length is at its limit: the step of the rotation is solved for alone.
             vector = vector - matrix[:, 3] * (next_log_focal - log_focal)
             step = np.r_[np.linalg.solve(matrix[:3, :3], vector[:3]), next_log_focal - log_focal]
         rotation = _rotation(step[:3]) @ rotation
@@ -138,23 +147,27 @@ class LowParallaxFilter:
         self._mapper, self._reconstruction = mapper, reconstruction
         self._valid_points: set[int] = set()  # points that are seen from several positions
 
-    def delete_points(self, number: int) -> None:
-        """Delete such points of the view with this number.
+    def delete_points(self, view_id: int) -> None:
+        """Delete the points of a view that are seen from one camera position only.
 
         A deleted point may be triangulated again with a view from another position.
         """
         images, points = self._reconstruction.images, self._reconstruction.points3D
-        image = images[number]
-        # Without repetition: the track of a point may contain two observations of one view.
-        ids = list(dict.fromkeys(one.point3D_id for one in image.points2D if one.has_point3D()))
-        if not ids:
+        image = images[view_id]
+        # Without repetition, since the track of a point may contain two observations of one view.
+        point_ids = list(
+            dict.fromkeys(point.point3D_id for point in image.points2D if point.has_point3D())
+        )
+        if not point_ids:
             return
         pose = image.cam_from_world().matrix()
-        depth = np.array([points[one].xyz for one in ids]) @ pose[2, :3] + pose[2, 3]
+        depth = (
+            np.array([points[point_id].xyz for point_id in point_ids]) @ pose[2, :3] + pose[2, 3]
+        )
         min_distance = MAPPING.min_baseline * float(np.median(depth))
         position = image.projection_center()
         distances: dict[int, float] = {}
-        for point_id in ids:
+        for point_id in point_ids:
             if point_id in self._valid_points:
                 continue
             views = [element.image_id for element in points[point_id].track.elements]

@@ -8,12 +8,13 @@ class MappingSettings:
     """Camera poses and sparse points of views."""
 
     # database
-    min_observations: int = 15  # observations that two views share, or a view and the known points
-    min_shared_tracks: int = 20  # tracks that two views share, if they get matches from tracks
-    # distances, in views, of two such views
+    # observations that two views share, or points of a model that a new view shows
+    min_observations: int = 15
+    min_shared_tracks: int = 20  # tracks that two views share, if their tracks become matches
+    # distances, in views, between the two views of pairs whose tracks become matches
     view_steps: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 12, 16)
     # incremental: poses of views
-    # share of inliers among a new view's observations of known points
+    # share of inliers among a new view's observations of points of the model
     min_inlier_share: float = 0.15
     max_pose_error: float = 6.0  # px: reprojection error of an inlier of a new view
     min_views: int = 3  # views of a model
@@ -22,15 +23,16 @@ class MappingSettings:
     rough_outlier_pixels: float = 3.0  # px: the same bound in the first adjustment from rough poses
     # growth of the number of views or points after which all views are adjusted
     growth_factor: float = 1.5
-    # rounds of such an adjustment: from rough poses, at first, and later
+    # rounds of an adjustment of all views: from rough poses, at first, and later
     growth_rounds: tuple[int, int, int] = (3, 2, 1)
-    # share of the observations that a round changes: with less, the rounds end
+    # share of the observations that a round changes: with a smaller share, the rounds end
     max_changed_share: float = 1e-3
-    # largest number of steps of a round, and the relative change of the squared residuals that ends
-    # them
+    # largest number of steps of a round; relative change of the squared residuals that ends the
+    # steps
     growing_limits: tuple[int, float] = (10, 1e-4)
-    final_limits: tuple[int, float] = (50, 1e-5)  # the same limits at the end
-    local_tolerance: float = 1e-5  # this relative change, in an adjustment of neighbouring views
+    final_limits: tuple[int, float] = (50, 1e-5)  # the same limits, for the final rounds
+    # relative change of the squared residuals that ends an adjustment of neighbouring views
+    local_tolerance: float = 1e-5
     min_triangulation_angle: float = 0.5  # degrees between the rays of a triangulated point
     # incremental: first pairs
     # degrees: smallest triangulation angles, tried in this order; a car that drives forward gives
@@ -46,29 +48,29 @@ class MappingSettings:
     max_parallax: float = 0.03  # rad: a larger parallax makes a first pair no better
     # quantile of the parallax of the points of two views that ranks first pairs
     parallax_quantile: float = 0.75
-    # residuals of a homography over those of the motion, if the focal length is a guess
+    # residuals of a homography divided by residuals of the motion, if the focal length is a guess
     min_homography_ratio_guessed: float = 2.5
     # the same ratio, if the focal length is known. On a plane, noise alone makes the residuals of a
     # homography, which have two dimensions, 1.75 times the distances from epipolar lines.
     min_homography_ratio: float = 1.5
-    # residuals of a rotation with any focal length over those of the motion
+    # residuals of a rotation with any focal length, divided by residuals of the motion
     min_rotation_ratio: float = 6.0
-    # share of pairs with parallax, of the best pairs with a motion, at an estimated focal length.
-    # This share was 0.12 to 0.33 in three sequences where the camera rotated and hardly moved, 0 in
-    # noise, and 0.71 to 1 in 20 other sequences.
+    # share of pairs with parallax among the best pairs with a motion, for an estimated focal
+    # length. This share was 0.12 to 0.33 in three sequences where the camera rotated and hardly
+    # moved, 0 in noise, and 0.71 to 1 in 20 other sequences.
     min_parallax_pairs: float = 0.4
     # incremental: choice of a model
     min_mean_score: float = 0.65  # mean score per match of a right model
-    # score of the worst view of a right model over the score of the median view. This share was
-    # 0.84 to 1 in right models (blurred: 0.67), and 0.53 in a bent model.
+    # score of the worst view of a right model, divided by the score of the median view. It was 0.84
+    # to 1 in right models (blurred: 0.67), and 0.53 in a bent model.
     min_worst_view_share: float = 0.8
     # relative difference of the scores of two models that confirm each other
     max_score_difference: float = 0.02
     small_model_views: int = 8  # views: smaller models are always built twice, which costs little
     max_first_pair_models: int = 3  # models that are built from different first pairs
-    # distance between first pairs, as a share of the remaining views,
+    # required distance between the first pairs of two models, as a share of the remaining views
     min_pair_distance_share: float = 0.25
-    max_pair_distance: int = 4  # views: limit of this required distance
+    max_pair_distance: int = 4  # views: the largest distance that is required
     # model_scores
     # grid points along the longer side; each belongs to the nearest matched point
     grid_cells: int = 32
@@ -76,7 +78,7 @@ class MappingSettings:
     # line
     epipolar_tolerance: float = 2.0
     # models
-    # share of the area of frames that models of the static scene explain
+    # share of the area of all frames that models of the static scene explain together
     min_coverage: float = 0.75
     pose_tolerance: float = 1e-4  # gradient that ends the refinement of the pose of a frame
     # parallax
@@ -85,15 +87,16 @@ class MappingSettings:
     rotation_steps: int = 12  # Gauss–Newton steps of the fit of a rotation and a focal length
     # rad, and logarithm of the focal length: a smaller step ends this fit
     min_rotation_step: float = 1e-5
-    # fitted focal length over the stated one. When only the stated one was allowed, 20 % off, 7 of
-    # 8 rendered pure rotations passed for parallax.
+    # fitted focal length divided by the stated focal length. When the fit used a stated focal
+    # length with an error of 20 %, 7 of 8 rendered pure rotations seemed to show parallax.
     min_focal_ratio: float = 0.5
-    max_focal_ratio: float = 2.0  # the same ratio
-    # distance to another view that sees a point, over a view's median depth
+    max_focal_ratio: float = 2.0  # largest value of the same ratio
+    # distance between two views that show a point, divided by the median depth of one view
     min_baseline: float = 0.02
     # solution: standard deviations of the focal length, relative
-    max_certain_deviation: float = 0.05  # with more, the motion hardly shows the focal length
-    # with more, a guess is as good: focal lengths of 0.6 to 2 longer sides are common
+    # with a larger deviation, the motion hardly shows the focal length
+    max_certain_deviation: float = 0.05
+    # with a larger deviation, a guess is as good: focal lengths of 0.6 to 2 longer sides are common
     max_useful_deviation: float = 0.3
 
 

@@ -13,7 +13,7 @@ from tisfm.reconstruction.tracks.views import View
 
 @dataclass(frozen=True, kw_only=True)
 class FocalEstimate:
-    """A focal length that was estimated from a sequence, and maybe a radial coefficient."""
+    """A focal length, and maybe a radial coefficient, estimated from a sequence."""
 
     focal: float  # focal length, px
     # standard deviation, px; infinite if the sequence does not show the focal length
@@ -22,11 +22,11 @@ class FocalEstimate:
     # estimated
     radial: float = 0.0
     radial_deviation: float = 0.0
-    # share of the focal length: with a larger standard deviation, a guess is as good
+    # largest useful standard deviation, as a share of the focal length: beyond it a guess is as
+    # good
     max_deviation: float = field(default_factory=lambda: MAPPING.max_useful_deviation)
-    shows_distortion: bool = (
-        False  # whether the focal length changes clearly if the lens may distort
-    )
+    # whether the focal length changes clearly when distortion is estimated too
+    shows_distortion: bool = False
 
     def apply_to(self, camera: Camera) -> Camera:
         """Return a camera with this focal length and k1; unchanged if a guess is as good."""
@@ -50,10 +50,10 @@ class FocalEstimate:
 class Piece:
     """Frames in one coordinate system, with one scale."""
 
-    # dict of int to (4, 4) float64: camera to world, by frame, in order
+    # by frame, in order: (4, 4) float64, camera to world
     poses: dict[int, np.ndarray]
     views: tuple[int, ...]  # frames whose poses were adjusted together with the points
-    # mapping of int to (3,) float64: positions of tracks, in the world
+    # by track number: (3,) float64, position in the world
     points: Mapping[int, np.ndarray]
 
 
@@ -64,12 +64,11 @@ class PathSolution:
     pieces: list[Piece]
     missing_frames: list[int]  # frames that are in no piece
     views: Sequence[View]  # views with points as the frames show them
-    observations: Sequence[
-        Observations
-    ]  # tracks in every frame, as the pinhole camera would see them
+    # tracks in every frame, as the pinhole camera would see them
+    observations: Sequence[Observations]
     camera: Camera
     # the estimate, if the focal length was to be estimated and a path was found
     focal: FocalEstimate | None
-    # how well the models explain the matches of views: the sum of `Model.score`, which is 0 for
+    # score of the matches that the models explain: the sum of `Model.score`, which is 0 for
     # models that are joined from submaps or continue an earlier model
     score: float

@@ -129,7 +129,7 @@ class SubmapBuilder:
     def _make_submap(
         self, graph: ViewGraph, reconstruction: Any, views: Sequence[View], numbers: Sequence[int]
     ) -> Submap:
-        model = graph.model(reconstruction)
+        model = graph.make_model(reconstruction)
         mapped = [k for k, view in enumerate(views) if view.frame in model.poses]
         groups = np.array_split(np.array(mapped), max(1, round(len(mapped) / self._group_size)))
         points, observations = _observed_points(reconstruction)
