@@ -6,7 +6,7 @@ from bench import reference
 from bench.kernels.sides import NumpySide, Run
 from bench.shared import problems
 from bench.shared.problems import Problem
-from tisfm.kernels.solve.weight_update import LINE
+from tisfm.kernels.solve.weight_update import LINE_ENTRIES
 
 
 class FieldReferences(NumpySide):
@@ -119,7 +119,7 @@ class FieldReferences(NumpySide):
             weights = reference.edge_weights(self.rho, smoothness)
             before = weights, tensor
             shared = weights.reshape(2, self.n, *weights.shape[1:])[:, : 1 if joint else self.n]
-            written = list(LINE) if self.scheme == "line" else slice(None)
+            written = list(LINE_ENTRIES) if self.scheme == "line" else slice(None)
             return np.concatenate([tensor[written], *shared])
 
         return run

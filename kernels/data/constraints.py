@@ -46,7 +46,8 @@ def constancy_constraints(
 
     With frame 1 warped by (u₀, v₀), constancy is I_t + ∇I·(u − u₀, v − v₀) = 0, or p u + q v + c
     = 0 in the whole flow (u, v), with (p, q) = ∇I and c = I_t − ∇I·(u₀, v₀). With (u₀, v₀) = 0 it
-    is the paper's eq. 3. Gradient constancy is the same with I_x and with I_y in place of I.
+    is eq. 3 of the paper that docs/method.md cites. Gradient constancy is the same with I_x and
+    with I_y in place of I.
 
     With normalisation, each squared constraint is divided by |∇I|² + ζ². It is then the squared
     distance, in px, of (u, v) from the line of its solutions, for any contrast of the image.
@@ -73,7 +74,7 @@ def constancy_constraints(
         derivatives, flow, mask, brightness, gradient,
         1.0 if normalization is None else normalization**2 + MIN_DIVISOR,
         0.0 if normalization is None else 1.0, *scale_pairs(scales), count, tensor is not None,
-        grid.serial, out, out if tensor is None else tensor,
+        grid.is_serial, out, out if tensor is None else tensor,
     )  # fmt: skip
 
 
@@ -89,66 +90,81 @@ def _constancy_constraints(
     mask: LaneArray(3),  # (1, H+2, S+2)
     brightness: ti.f32,
     gradient: ti.f32,
-    noise: ti.f32,  # ζ²; 1 without normalisation
-    normalized: ti.f32,  # 1 or 0
+    squared_normalization: ti.f32,  # ζ² + ε; 1 without normalisation
+    is_normalized: ti.f32,  # 1 or 0
     inverse_scale0: ti.f32,
     scale0: ti.f32,
     inverse_scale1: ti.f32,
     scale1: ti.f32,
     count: ti.template(),
     with_tensor: ti.template(),
-    serial: ti.template(),
+    is_serial: ti.template(),
     out: LaneArray(3),  # (3 count, H+2, S+2)
     tensor: LaneArray(3),  # (6, H+2, S+2), written if `with_tensor`
 ):
-    ti.loop_config(serialize=serial)
+    ti.loop_config(serialize=is_serial)
     for row, position in ti.ndrange(out.shape[1] - 2, out.shape[2] - 2):
         y, s = row + 1, position + 1
         u, v = flow[0, y, s], flow[1, y, s]
-        # Taichi does not compile those of the following values that are not used.
+        # Taichi compiles only the derivatives that the constraints in use need.
         ix, iy = derivatives[0, y + 1, s + 1], derivatives[1, y + 1, s + 1]
         it = derivatives[2, y + 1, s + 1]
-        ixx = _along_row(derivatives, 0, y + 1, s + 1)
-        ixy = _along_row(derivatives, 1, y + 1, s + 1)
-        iyy = _along_column(derivatives, 1, y + 1, s + 1)
+        ixx = _x_derivative(derivatives, 0, y + 1, s + 1)
+        ixy = _x_derivative(derivatives, 1, y + 1, s + 1)
+        iyy = _y_derivative(derivatives, 1, y + 1, s + 1)
         # Differentiation is linear: the temporal change of I_x is the x derivative of I_t.
-        itx = _along_row(derivatives, 2, y + 1, s + 1)
-        ity = _along_column(derivatives, 2, y + 1, s + 1)
+        itx = _x_derivative(derivatives, 2, y + 1, s + 1)
+        ity = _y_derivative(derivatives, 2, y + 1, s + 1)
         brightness_weight, gradient_weight = brightness * mask[0, y, s], gradient * mask[0, y, s]
-        weighted = (
+        weighted_derivatives = (
             (brightness_weight, ix, iy, it),
             (gradient_weight, ixx, ixy, itx),
             (gradient_weight, ixy, iyy, ity),
         )
-        lines = ti.static(_lines(weighted, count, noise, normalized, u, v))
+        constraints = ti.static(
+            _weighted_constraints(
+                weighted_derivatives, count, squared_normalization, is_normalized, u, v
+            )
+        )
         for i in ti.static(range(count)):
             for k in ti.static(range(3)):
-                out[3 * i + k, y, s] = lines[i][k]
+                out[3 * i + k, y, s] = constraints[i][k]
         if ti.static(with_tensor):
             scales = ti.static([(inverse_scale0, scale0), (inverse_scale1, scale1)])
-            _, sums = ti.static(robust_data(terms_of(lines), scales, u, v))
+            _, sums = ti.static(robust_data(terms_of(constraints), scales, u, v))
             for k in ti.static(range(6)):
                 tensor[k, y, s] = sums[k]
 
 
-def _lines(weighted: tuple, count: int, noise: Any, normalized: Any, u: Any, v: Any) -> list:
+def _weighted_constraints(
+    weighted_derivatives: tuple,
+    count: int,
+    squared_normalization: Any,
+    is_normalized: Any,
+    u: Any,
+    v: Any,
+) -> list:
     """Return (p, q, c) of the constraints in use, times the root of the weight."""
-    lines = []
-    for weight, ix, iy, it in {1: weighted[:1], 2: weighted[1:], 3: weighted}[count]:
-        root = bind(ti.sqrt(weight / (noise + normalized * (ix * ix + iy * iy))))
-        lines.append((bind(root * ix), bind(root * iy), bind(root * (it - ix * u - iy * v))))
-    return lines
+    constraints = []
+    for weight, ix, iy, it in {
+        1: weighted_derivatives[:1],
+        2: weighted_derivatives[1:],
+        3: weighted_derivatives,
+    }[count]:
+        root = bind(ti.sqrt(weight / (squared_normalization + is_normalized * (ix * ix + iy * iy))))
+        constraints.append((bind(root * ix), bind(root * iy), bind(root * (it - ix * u - iy * v))))
+    return constraints
 
 
 @ti.func
-def _along_row(array: ti.template(), k: ti.template(), y, s):
+def _x_derivative(array: ti.template(), k: ti.template(), y, s):
     inner_weight, outer_weight = ti.static(8.0 / 12.0, 1.0 / 12.0)
     inner = array[k, y, s + 1] - array[k, y, s - 1]
     return inner_weight * inner - outer_weight * (array[k, y, s + 2] - array[k, y, s - 2])
 
 
 @ti.func
-def _along_column(array: ti.template(), k: ti.template(), y, s):
+def _y_derivative(array: ti.template(), k: ti.template(), y, s):
     inner_weight, outer_weight = ti.static(8.0 / 12.0, 1.0 / 12.0)
     inner = array[k, y + 1, s] - array[k, y - 1, s]
     return inner_weight * inner - outer_weight * (array[k, y + 2, s] - array[k, y - 2, s])

@@ -38,17 +38,17 @@ def derivatives(
     if scheme not in SCHEMES:
         raise ValueError(f"scheme is {scheme!r}: expected one of {SCHEMES}")
     kernel = _cube if scheme == "cube" else _five_tap
-    return kernel[grid.lanes].bind(frame0, frame1, grid.serial, out)
+    return kernel[grid.lanes].bind(frame0, frame1, grid.is_serial, out)
 
 
 @lane_kernel
 def _cube(
     frame0: LaneArray(3),  # (1, H+8, S+8)
     frame1: LaneArray(3),  # (1, H+8, S+8)
-    serial: ti.template(),
+    is_serial: ti.template(),
     out: LaneArray(3),  # (3, H+4, S+4)
 ):
-    ti.loop_config(serialize=serial)
+    ti.loop_config(serialize=is_serial)
     for row, position in ti.ndrange(out.shape[1], out.shape[2]):
         y, s = row + 2, position + 2
         a, b = frame0[0, y, s], frame0[0, y, s + 1]
@@ -72,12 +72,12 @@ def _cube(
 def _five_tap(
     frame0: LaneArray(3),  # (1, H+8, S+8)
     frame1: LaneArray(3),  # (1, H+8, S+8)
-    serial: ti.template(),
+    is_serial: ti.template(),
     out: LaneArray(3),  # (3, H+4, S+4)
 ):
-    # for the sum of both frames, twice their mean
+    # weights for the sum of both frames, which is twice their mean
     inner_weight, outer_weight = ti.static(8.0 / 24.0, 1.0 / 24.0)
-    ti.loop_config(serialize=serial)
+    ti.loop_config(serialize=is_serial)
     for row, position in ti.ndrange(out.shape[1], out.shape[2]):
         y, s = row + 2, position + 2
         inner_x = frame0[0, y, s + 1] + frame1[0, y, s + 1] - frame0[0, y, s - 1]

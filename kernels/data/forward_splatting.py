@@ -1,4 +1,4 @@
-"""Forward splatting: finds pixels that move to the same position, and which of them are hidden."""
+"""Forward splatting: moves pixels by their flow, and finds pixels that other pixels then hide."""
 
 import numpy as np
 import taichi as ti
@@ -6,9 +6,10 @@ import taichi as ti
 from tisfm.kernels.layout.lanes import CHUNK, check_array, first_row
 from tisfm.kernels.layout.launch import Kernel
 
-# Least rows of a band. Rows near the limit of two bands are read for both, so bands must be large.
-SPLATTING_BAND = 96
-BLOCK = 64  # pixels of a row for one task of a thread
+# rows: a band has at least as many. The threads of two neighbouring bands both read the rows near
+# the border between them, so bands must be large.
+MIN_BAND_ROWS = 96
+BLOCK = 64  # px: part of a row that a thread processes at a time
 
 
 def splat(
@@ -19,7 +20,7 @@ def splat(
     # `aligned_empty`.
     sums: np.ndarray,
     *,
-    # whether to add in parallel in any order, as a GPU must; rounding then differs between runs
+    # whether threads add in any order, as on a GPU; rounding then differs between runs
     any_order: bool = False,
 ) -> None:
     """Add every pixel, bilinearly, to the four pixels of frame 1 around its target position.
@@ -34,11 +35,11 @@ def splat(
         return
     height = residual.shape[0]
     max_shift = max(flow[1].max(), -flow[1].min())
-    reach = min(int(max_shift) + 1, height)  # most rows that a pixel moves up or down
+    max_row_shift = min(int(max_shift) + 1, height)  # rows that a pixel moves up or down at most
     # An even number of bands, so that two threads have the same number of bands.
-    band_pairs = height // (2 * max(SPLATTING_BAND, 2 * reach))
+    band_pairs = height // (2 * max(MIN_BAND_ROWS, 2 * max_row_shift))
     bands = max(1, 2 * band_pairs)
-    _splat(flow, residual, bands, reach, sums)
+    _splat(flow, residual, bands, max_row_shift, sums)
 
 
 def hidden_pixels(
@@ -51,8 +52,8 @@ def hidden_pixels(
     out: np.ndarray,
     *,
     density: float,  # pixels of frame 0 per pixel of frame 1
-    # Least difference from the mean flow, px/frame. The mean includes the pixel itself: for two
-    # pixels with equal weights, their relative motion is 2·apart.
+    # least difference from the mean flow, px/frame. The mean includes the pixel itself: for two
+    # pixels with equal weights, their relative motion is twice as large.
     flow_difference: float,
 ) -> None:
     """Mark the pixels that share their position in frame 1 with other pixels of lower residual."""
@@ -76,7 +77,7 @@ def _splat(
     flow: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (2, H, W)
     residual: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
     bands: ti.i32,
-    reach: ti.i32,
+    max_row_shift: ti.i32,
     sums: ti.types.ndarray(dtype=_Sums, ndim=2),  # (H, W)
 ):
     """Add the sums of each band of rows in one thread, so that every sum has a fixed order."""
@@ -87,7 +88,7 @@ def _splat(
             first, last = first_row(band, height, bands), first_row(band + 1, height, bands)
             for y, x in ti.ndrange((first, last), width):
                 sums[y, x] = _Sums(0.0)
-            for y in range(ti.max(0, first - reach), ti.min(height, last + reach)):
+            for y in range(ti.max(0, first - max_row_shift), ti.min(height, last + max_row_shift)):
                 for x in range(width):
                     _splat_at(flow, residual, sums, y, x, first, last, False)
 
@@ -118,8 +119,8 @@ def _splat_at(
         # Beyond the last row and column there is no neighbour; its weight would be 0.
         below = ti.min(row + 1, residual.shape[0] - 1)
         right = ti.min(column + 1, residual.shape[1] - 1)
-        weighted = _Sums(1.0, residual[y, x], u, v)
-        upper, lower = (1.0 - down) * weighted, down * weighted
+        values = _Sums(1.0, residual[y, x], u, v)
+        upper, lower = (1.0 - down) * values, down * values
         if first <= row and row < last:
             _add(sums, row, column, (1.0 - across) * upper, atomic)
             _add(sums, row, right, across * upper, atomic)
@@ -160,9 +161,9 @@ def _hidden_pixels(
                 upper = (1.0 - across) * sums[row, column][0] + across * sums[row, right][0]
                 lower = (1.0 - across) * sums[below, column][0] + across * sums[below, right][0]
                 if (1.0 - down) * upper + down * lower > density:  # true at few pixels
-                    first = (1.0 - across) * sums[row, column] + across * sums[row, right]
-                    second = (1.0 - across) * sums[below, column] + across * sums[below, right]
-                    total = (1.0 - down) * first + down * second
+                    upper_sums = (1.0 - across) * sums[row, column] + across * sums[row, right]
+                    lower_sums = (1.0 - across) * sums[below, column] + across * sums[below, right]
+                    total = (1.0 - down) * upper_sums + down * lower_sums
                     du, dv = total[2] / total[0] - u, total[3] / total[0] - v
                     has_larger_residual = residual[y, x] * total[0] > total[1]
                     if (
@@ -176,6 +177,6 @@ def _hidden_pixels(
 @ti.func
 def _is_inside(x, y, image: ti.template()):
     """Return whether a position lies within the centres of the border pixels."""
-    across = x >= 0 and x <= image.shape[1] - 1
-    down = y >= 0 and y <= image.shape[0] - 1
-    return across and down
+    is_inside_x = x >= 0 and x <= image.shape[1] - 1
+    is_inside_y = y >= 0 and y <= image.shape[0] - 1
+    return is_inside_x and is_inside_y

@@ -26,7 +26,7 @@ def image_edges(
     # the image. The halo is not written.
     out: LaneData,
     *,
-    rate: float,  # decrease of the smoothness per grey level
+    rate: float,  # growth of the divisor of g, per grey level
 ) -> None:
     """Compute g = c/(1 + rate·|ΔI|) of every edge, with c such that the mean of g is 1."""
     grid.check_image(image, "image")
@@ -34,24 +34,24 @@ def image_edges(
     if not 0 <= rate < float("inf"):
         raise ValueError(f"rate is {rate}: expected a number of at least 0, per grey level")
     partial = block_sums(grid, 1)
-    _image_edges[grid.lanes](image, rate, grid.serial, out, partial)
+    _image_edges[grid.lanes](image, rate, grid.is_serial, out, partial)
     count = grid.height * (grid.width - 1) + (grid.height - 1) * grid.width
     mean = float(add_blocks(partial)[0]) / max(count, 1)
-    _scale[grid.lanes](1.0 / max(mean, MIN_DIVISOR), grid.serial, out)
+    _scale[grid.lanes](1.0 / max(mean, MIN_DIVISOR), grid.is_serial, out)
 
 
 @lane_kernel
 def _image_edges(
     image: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
     rate: ti.f32,
-    serial: ti.template(),
-    out: LaneArray(3),  # (2, H+2, S+2), finite: a product with 0 starts all sums
+    is_serial: ti.template(),
+    out: LaneArray(3),  # (2, H+2, S+2), finite: 0 times an element starts all sums
     partial: SumArray(3),  # (H, blocks, 1)
 ):
     height, width = image.shape[0], image.shape[1]
     strip, blocks = out.shape[2] - 2, partial.shape[1]
     lanes = ti.static(lane_count(out))
-    ti.loop_config(serialize=serial)
+    ti.loop_config(serialize=is_serial)
     for row, block in ti.ndrange(height, blocks):
         zero = 0.0 * out[0, row + 1, 1]
         below = ti.min(row + 1, height - 1)
@@ -100,10 +100,10 @@ def _is_before(end, position, strip, zero, lanes: ti.template()):
 @lane_kernel
 def _scale(
     factor: ti.f32,
-    serial: ti.template(),
+    is_serial: ti.template(),
     out: LaneArray(3),  # (2, H+2, S+2), in place
 ):
-    ti.loop_config(serialize=serial)
+    ti.loop_config(serialize=is_serial)
     for k, row in ti.ndrange(out.shape[0], out.shape[1] - 2):
         for position in range(out.shape[2] - 2):
             out[k, row + 1, position + 1] = factor * out[k, row + 1, position + 1]

@@ -26,17 +26,17 @@ def backward_flow(
     """Write the flow to the previous frame, flow_sum − flow."""
     for array, name in ((flow, "flow"), (flow_sum, "flow_sum"), (out, "out")):
         grid.check(array, 2, name)
-    return _backward_flow[grid.lanes].bind(flow, flow_sum, grid.serial, out)
+    return _backward_flow[grid.lanes].bind(flow, flow_sum, grid.is_serial, out)
 
 
 @lane_kernel
 def _backward_flow(
     flow: LaneArray(3),  # (2, H+2, S+2)
     flow_sum: LaneArray(3),  # (2, H+2, S+2)
-    serial: ti.template(),
+    is_serial: ti.template(),
     out: LaneArray(3),  # (2, H+2, S+2)
 ):
-    ti.loop_config(serialize=serial)
+    ti.loop_config(serialize=is_serial)
     for row, position in ti.ndrange(out.shape[1] - 2, out.shape[2] - 2):
         y, s = row + 1, position + 1
         for k in ti.static(range(2)):
@@ -84,8 +84,8 @@ def join_constraints(
     ):
         grid.check(array, n, name)
     return _join[grid.lanes].bind(
-        previous, trust, mask, previous_mask, flow, *scale_pairs(scales), count, grid.serial, out,
-        tensor,
+        previous, trust, mask, previous_mask, flow, *scale_pairs(scales), count, grid.is_serial,
+        out, tensor,
     )  # fmt: skip
 
 
@@ -101,11 +101,11 @@ def _join(
     inverse_scale1: ti.f32,
     scale1: ti.f32,
     count: ti.template(),
-    serial: ti.template(),
+    is_serial: ti.template(),
     out: LaneArray(3),  # (3 count, H+2, S+2), in place
     tensor: LaneArray(3),  # (6, H+2, S+2)
 ):
-    ti.loop_config(serialize=serial)
+    ti.loop_config(serialize=is_serial)
     for row, position in ti.ndrange(out.shape[1] - 2, out.shape[2] - 2):
         y, s = row + 1, position + 1
         next_weight, previous_weight = (

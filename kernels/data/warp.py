@@ -22,24 +22,24 @@ from tisfm.kernels.layout.lanes import (
 )
 from tisfm.kernels.layout.launch import Launch, operation
 
-WARP_BAND = 16  # least rows of a band
+WARP_BAND = 16  # rows: a band has corner least as many
 
 
 @operation
 def warp(
     grid: LaneGrid,
     image: LaneData,  # (H, W) float32
-    # ((H + 3)·W, 4) float32: `tisfm.solver.sampling.spline_taps` of the image; on a device, placed
-    # as vectors
+    # ((H + 3)·W, 4) float32: spline coefficients of the image, four neighbouring columns in each
+    # row (`tisfm.solver.sampling.spline_taps`); on a device, an array of vectors
     taps: LaneData,
     flow: LaneData,  # lane array, 2 components: (u, v), px/frame
     # lane array, 1 component, any halo: the warped image; halo and padding repeat its border
     out: LaneData,
-    # lane array, 1 component: 1 where the pixel moves to inside the image, 0 where it leaves the
+    # lane array, 1 component: 1 where the pixel stays inside the image, 0 where it leaves the
     # image and in the padding
     mask: LaneData,
 ) -> Launch:
-    """Sample an image at x + flow by its cubic B-spline.
+    """Sample an image corner x + flow by its cubic B-spline.
 
     Sampling is smooth and fourth-order accurate. At whole pixels the image value itself is taken,
     so zero flow returns exactly the image. The border of the image is repeated.
@@ -52,8 +52,8 @@ def warp(
     grid.check(mask, 1, "mask")
     if grid.lanes == 1:
         return _warp_sites[1].bind(image, taps, flow, halo, out, mask)
-    bands = 1 if grid.serial else max(1, grid.height // WARP_BAND)
-    return _warp[grid.lanes].bind(image, taps, flow, halo, grid.serial, bands, out, mask)
+    bands = 1 if grid.is_serial else max(1, grid.height // WARP_BAND)
+    return _warp[grid.lanes].bind(image, taps, flow, halo, grid.is_serial, bands, out, mask)
 
 
 _Taps = ti.types.vector(4, ti.f32)  # one vector load, so it must be aligned
@@ -65,7 +65,7 @@ def _warp(
     taps: ti.types.ndarray(dtype=_Taps, ndim=1),  # ((H+3)·W,)
     flow: LaneArray(3),  # (2, H+2, S+2)
     halo: ti.i32,
-    serial: ti.template(),
+    is_serial: ti.template(),
     bands: ti.i32,
     out: LaneArray(3),  # (1, H+2·halo, S+2·halo)
     mask: LaneArray(3),  # (1, H+2, S+2)
@@ -74,21 +74,21 @@ def _warp(
     height, width = image.shape[0], image.shape[1]
     strip = flow.shape[2] - 2
     lanes = ti.static(lane_count(flow))
-    chunk = ti.static(1 if serial else CHUNK)
-    ti.loop_config(serialize=serial)
+    chunk = ti.static(1 if is_serial else CHUNK)
+    ti.loop_config(serialize=is_serial)
     for task in range(chunk * bands):
         if task % chunk == 0:
             band = task // chunk
-            first = 0.0 * flow[0, 0, 0]  # columns
+            first_columns = 0.0 * flow[0, 0, 0]  # of the strips
             for lane in ti.static(range(lanes)):
-                first[lane] = lane * strip
+                first_columns[lane] = lane * strip
             for y in range(first_row(band, height, bands), first_row(band + 1, height, bands)):
                 for s in range(strip):
                     u, v = flow[0, y + 1, s + 1], flow[1, y + 1, s + 1]
-                    warped, inside = _sample(image, taps, first + s, y, u, v, lanes)
+                    warped, inside = _sample(image, taps, first_columns + s, y, u, v, lanes)
                     out[0, y + halo, s + halo] = warped
                     mask[0, y + 1, s + 1] = inside
-                _repeat_columns(out, y + halo, halo, first, width)
+                _repeat_columns(out, y + halo, halo, first_columns, width)
                 if y == 0:
                     for k, position in ti.ndrange(halo, out.shape[2]):
                         out[0, k, position] = out[0, halo, position]
@@ -133,13 +133,13 @@ def _sample(image: ti.template(), taps: ti.template(), column, row, u, v, lanes:
     left, top = ti.floor(x), ti.floor(y)
     across, down = x - left, y - top
     weights_x, weights_y = ti.static(_weights(across)), ti.static(_weights(down))
-    # Weighted sums over four rows, for each of four columns of coefficients.
+    # weighted sums of the coefficients over four rows, for each of four columns
     columns = ti.static([bind(zero) for _ in range(4)])
     for lane in range(lanes):
-        at = _index(top, lane, lanes) * width + _index(left, lane, lanes)
-        total = lane_of(weights_y[0], lane, lanes) * taps[at]
+        corner = _index(top, lane, lanes) * width + _index(left, lane, lanes)
+        total = lane_of(weights_y[0], lane, lanes) * taps[corner]
         for k in ti.static(range(1, 4)):
-            total += lane_of(weights_y[k], lane, lanes) * taps[at + k * width]
+            total += lane_of(weights_y[k], lane, lanes) * taps[corner + k * width]
         for k in ti.static(range(4)):
             set_lane(columns[k], lane, lanes, total[k])
     value = weights_x[0] * columns[0]
@@ -169,7 +169,7 @@ def _weights(t: Any) -> list:
 
 
 @ti.func
-def _repeat_columns(array: ti.template(), row, halo, first, width):
+def _repeat_columns(array: ti.template(), row, halo, first_columns, width):
     """Write padding and halo of a row whose pixels are already written.
 
     The padding repeats the image's last column, the halo the columns of the neighbouring strips.
@@ -180,14 +180,19 @@ def _repeat_columns(array: ti.template(), row, halo, first, width):
         last = array[0, row, (width - 1) % strip + halo][(width - 1) // strip]
         for s in range(strip):
             value = array[0, row, s + halo]
-            array[0, row, s + halo] = ti.select(first + s < width, value, 0.0 * value + last)
+            array[0, row, s + halo] = ti.select(
+                first_columns + s < width, value, 0.0 * value + last
+            )
     # From the inside outwards: a neighbouring strip may be narrower than the halo.
     for k in range(halo):
         west, east = halo - 1 - k, strip + halo + k
-        next_west, next_east = array[0, row, west + strip], array[0, row, east - strip]
-        from_west, from_east = array[0, row, west + 1], array[0, row, east - 1]
+        western_neighbours, eastern_neighbours = (
+            array[0, row, west + strip],
+            array[0, row, east - strip],
+        )
+        west_values, east_values = array[0, row, west + 1], array[0, row, east - 1]
         for lane in range(lanes - 1):
-            from_west[lane + 1] = next_west[lane]
-            from_east[lane] = next_east[lane + 1]
-        array[0, row, west] = from_west
-        array[0, row, east] = from_east
+            west_values[lane + 1] = western_neighbours[lane]
+            east_values[lane] = eastern_neighbours[lane + 1]
+        array[0, row, west] = west_values
+        array[0, row, east] = east_values

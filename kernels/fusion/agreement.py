@@ -31,8 +31,8 @@ def compare(
 
     In the other view the point has inverse depth d' = d / g, with g the ratio of its depths in the
     other view and in this view, and with deviation σ |∂d'/∂d|. The other view agrees with the point
-    if its own inverse depth there differs by at most `tolerance` combined deviations. It sees
-    through the point if its own inverse depth there is smaller by more.
+    if its map has an inverse depth there that differs from d' by at most `tolerance` combined
+    deviations. It sees through the point if its inverse depth is smaller than d' by more.
     """
     check_map(inverse_depth, deviation)
     check_map(other_inverse_depth, other_deviation, "other_")
@@ -93,13 +93,13 @@ def _compare(
             u = _project_pixel(projection, 0, x, y, d) / g
             v = _project_pixel(projection, 1, x, y, d) / g
             if is_inside(u, v, other_inverse_depth):
-                other_depth = inverse_depth_at(other_inverse_depth, u, v)
-                if other_depth > 0:
+                other_d = inverse_depth_at(other_inverse_depth, u, v)
+                if other_d > 0:
                     column, row = nearest_pixel(u, v)
                     other_sigma = other_deviation[row, column]
                     slope = rotated_z / (g * g)  # ∂d'/∂d
                     sigma = slope * deviation[y, x]
-                    difference = other_depth - d / g
+                    difference = other_d - d / g
                     limit = tolerance * ti.sqrt(sigma * sigma + other_sigma * other_sigma)
                     if difference < 0.0 - limit:
                         sums[y, x, 3] += 1.0

@@ -19,14 +19,14 @@ from tisfm.kernels.fusion.lookup import (
 from tisfm.kernels.layout.lanes import MAX_INDEX, check_array
 from tisfm.kernels.layout.launch import Kernel
 
-EDGE = 8  # voxels along the edge of a block
-VOXELS = EDGE**3
+BLOCK_EDGE = 8  # voxels along the edge of a block
+VOXELS = BLOCK_EDGE**3
 CORNERS = 8  # corners of the cube around each sample of a ray
-# truncations: a voxel farther from the pixel's own depth needs no interpolated depth
-MAX_OFFSET = 2.0
-MIN_SIMILAR = 3  # similar neighbours, of eight; the depth of a pixel with fewer is wrong
+# truncations: depth is interpolated only for voxels within this distance of the pixel's depth
+MAX_INTERPOLATION_DISTANCE = 2.0
+MIN_SIMILAR_NEIGHBOURS = 3  # of eight; with fewer similar neighbours, the depth is wrong
 # deviations: pixels that differ by less are similar, even by more than `MAX_SURFACE_STEP`
-SIMILAR_DEVIATIONS = 3.0
+MAX_SIMILAR_DEVIATIONS = 3.0
 
 
 def find_blocks(
@@ -34,9 +34,9 @@ def find_blocks(
     # NaN or infinite. Pixels with fewer than three similar neighbours, of eight, are skipped.
     inverse_depth: np.ndarray,
     deviation: np.ndarray,
-    # (rows, ⌈W / stride⌉, places, 8) int32: for each sampled row from `top` on, column and sample:
-    # the numbers of the blocks at the corners around the sample, (bx·n_y + by)·n_z + bz, each
-    # number once, or −1
+    # (rows, ⌈W / stride⌉, samples, 8) int32: for each sampled row from `top` on, column and sample:
+    # the numbers of the blocks at the corners around the sample, (bx·n_y + by)·n_z + bz. A
+    # number that a previous corner has, and a block outside, are −1
     out: np.ndarray,
     *,
     # top, stride: the first sampled row, and the step of rows and columns
@@ -45,7 +45,7 @@ def find_blocks(
     # (3, 4) float32: the point of pixel (x, y) at depth Z has the coordinates columns 0 to 2 times
     # (x, y, 1) Z, plus column 3, in voxels from the lowest corner of the grid
     rays: np.ndarray,
-    # (int, int, int): blocks of the grid, (n_x, n_y, n_z); blocks outside are left out
+    # (n_x, n_y, n_z): size of the grid, in blocks; blocks outside are left out
     extent: tuple[int, int, int],
     # distance in front of and behind the surface, along the view's axis, in the unit of depth
     truncation: float,
@@ -66,7 +66,7 @@ def find_blocks(
     size = (len(out), -(-width // stride), out.shape[2], CORNERS)
     check_array(out, size, "out", dtype=np.int32, aligned=False)
     if out.shape[2] < 2:
-        raise ValueError(f"out has {out.shape[2]} places for a ray: expected at least 2")
+        raise ValueError(f"out has {out.shape[2]} samples for a ray: expected at least 2")
     check_array(rays, (3, 4), "rays", aligned=False)
     if min(extent) < 1 or np.prod(np.asarray(extent, float)) > MAX_INDEX:
         raise ValueError(f"extent is {extent}: expected 1 to {MAX_INDEX} blocks")
@@ -126,12 +126,12 @@ def _find_blocks(
     blocks_y: ti.i32,
     blocks_z: ti.i32,
     truncation: ti.f32,
-    out: ti.types.ndarray(dtype=ti.i32, ndim=4),  # (rows, ⌈W / stride⌉, places, 8)
+    out: ti.types.ndarray(dtype=ti.i32, ndim=4),  # (rows, ⌈W / stride⌉, samples, 8)
 ):
     for row, column in ti.ndrange(out.shape[0], out.shape[1]):
         y, x = top + row * stride, column * stride
         d = inverse_depth[y, x]
-        if _similar_neighbours(inverse_depth, deviation, y, x) < MIN_SIMILAR:
+        if _similar_neighbours(inverse_depth, deviation, y, x) < MIN_SIMILAR_NEIGHBOURS:
             d = 0.0
         for sample in range(out.shape[2]):
             depth = (2.0 * sample / (out.shape[2] - 1) - 1.0) * truncation
@@ -164,7 +164,7 @@ def _find_blocks(
 def _similar_neighbours(inverse_depth: ti.template(), deviation: ti.template(), y, x):
     """Return the number of neighbours, of eight, that show the same surface as a pixel."""
     d = inverse_depth[y, x]
-    max_difference = ti.max(MAX_SURFACE_STEP * d, SIMILAR_DEVIATIONS * deviation[y, x])
+    max_difference = ti.max(MAX_SURFACE_STEP * d, MAX_SIMILAR_DEVIATIONS * deviation[y, x])
     count = 0
     for j, i in ti.static(ti.ndrange((-1, 2), (-1, 2))):
         row, column = y + j, x + i
@@ -183,7 +183,7 @@ def _along_ray(rays: ti.template(), k: ti.template(), x, y, depth):
 
 @ti.func
 def _block(position):
-    return ti.cast(ti.floor(position / EDGE), ti.i32)
+    return ti.cast(ti.floor(position / BLOCK_EDGE), ti.i32)
 
 
 @Kernel
@@ -202,7 +202,7 @@ def _integrate(
     for task in range(corners.shape[0] * VOXELS):
         # Shifts, because integer divisions would take as long as everything else here.
         b, voxel = task >> 9, task & (VOXELS - 1)
-        i, j, k = voxel >> 6, (voxel >> 3) & (EDGE - 1), voxel & (EDGE - 1)
+        i, j, k = voxel >> 6, (voxel >> 3) & (BLOCK_EDGE - 1), voxel & (BLOCK_EDGE - 1)
         z = corners[b, 2] + i * steps[0, 2] + j * steps[1, 2] + k * steps[2, 2]
         if z > 0:
             u = (corners[b, 0] + i * steps[0, 0] + j * steps[1, 0] + k * steps[2, 0]) / z
@@ -210,19 +210,19 @@ def _integrate(
             if is_inside(u, v, inverse_depth):
                 column, row = nearest_pixel(u, v)
                 d = inverse_depth[row, column]
-                if d > 0 and d * (z - MAX_OFFSET * truncation) <= 1.0:
-                    if d * (z + MAX_OFFSET * truncation) >= 1.0:
+                if d > 0 and d * (z - MAX_INTERPOLATION_DISTANCE * truncation) <= 1.0:
+                    if d * (z + MAX_INTERPOLATION_DISTANCE * truncation) >= 1.0:
                         d = inverse_depth_at(inverse_depth, u, v)
                     signed_distance = (1.0 / d - z) / truncation
                     if signed_distance >= -1.0:
                         depth_deviation = deviation[row, column] / (d * d)
-                        new = (
+                        new_weight = (
                             spread * spread / (depth_deviation * depth_deviation + spread * spread)
                         )
                         n = index[b]
-                        total = weight[n, voxel] + new
+                        total_weight = weight[n, voxel] + new_weight
                         change = ti.min(signed_distance, 1.0) - distance[n, voxel]
-                        distance[n, voxel] += new / total * change
-                        weight[n, voxel] = total
+                        distance[n, voxel] += new_weight / total_weight * change
+                        weight[n, voxel] = total_weight
                         if signed_distance <= 1.0:
                             views[n, voxel] += 1

@@ -5,4 +5,4 @@ May import: Taichi and NumPy.
 """
 
 CPU_ARCHS = ("x64", "arm64")
-"""Archs that are CPUs; the project calls them all "cpu"."""
+"""Taichi's names of CPUs; the project calls them all "cpu"."""

@@ -30,7 +30,7 @@ def image_to_lanes(
     grid.check(out, out.shape[0], "out", halo=halo)
     if not 0 <= component < out.shape[0]:
         raise ValueError(f"component is {component}: out has {out.shape[0]}")
-    _image_to_lanes[grid.lanes](image, halo, component, grid.serial, out)
+    _image_to_lanes[grid.lanes](image, halo, component, grid.is_serial, out)
 
 
 @lane_kernel
@@ -38,11 +38,11 @@ def _image_to_lanes(
     image: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
     halo: ti.i32,
     component: ti.i32,
-    serial: ti.template(),
+    is_serial: ti.template(),
     out: LaneArray(3),  # (k, H+2·halo, S+2·halo)
 ):
     strip = out.shape[2] - 2 * halo
-    ti.loop_config(serialize=serial)
+    ti.loop_config(serialize=is_serial)
     for row, position in ti.ndrange(out.shape[1], out.shape[2]):
         y = ti.max(0, ti.min(row - halo, image.shape[0] - 1))
         for lane in range(ti.static(lane_count(out))):

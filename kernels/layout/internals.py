@@ -115,10 +115,12 @@ class Arguments:
             elif any(kind is integer for integer in _INTEGERS):
                 self.integers.append((index, slot))
             else:
-                element = getattr(kind.dtype, "ndim", 0)  # axes of a vector
-                scalar = kind.dtype.dtype if element else kind.dtype
+                vector_axes = getattr(kind.dtype, "ndim", 0)  # 1 for vectors, 0 for scalars
+                scalar = kind.dtype.dtype if vector_axes else kind.dtype
                 dtype = _NUMPY[scalar.to_string()]
-                self.arrays.append((index, slot, -element or None, dtype, kind.ndim + element))
+                self.arrays.append(
+                    (index, slot, -vector_axes or None, dtype, kind.ndim + vector_axes)
+                )
             slot += 1
         self.count = len(self.names)
 
@@ -152,7 +154,7 @@ def check(parameters: Arguments, arguments: tuple) -> None:
 
 
 def compile_kernel(kernel: Any, arguments: tuple) -> tuple[Any, Any]:
-    """Compile a kernel for arguments; return it for `context`, and as a program launches it."""
+    """Compile a kernel for arguments; return it for `make_context` and for `launch_function`."""
     primal = kernel._primal
     compiled = primal.compiled_kernels[primal.ensure_compiled(*arguments)]
     program_ = impl.get_runtime().prog
@@ -161,12 +163,12 @@ def compile_kernel(kernel: Any, arguments: tuple) -> tuple[Any, Any]:
     )
 
 
-def launcher(program_: Any) -> Any:
+def launch_function(program_: Any) -> Any:
     """Return the function of a program that runs a compiled kernel with a context."""
     return program_.launch_kernel
 
 
-def context(compiled: Any, parameters: Arguments, arguments: tuple) -> tuple[Any, bool]:
+def make_context(compiled: Any, parameters: Arguments, arguments: tuple) -> tuple[Any, bool]:
     """Return the context of a launch, with arrays by address, and whether all arrays are NumPy's.
 
     A context holds the arguments of a kernel.

@@ -33,11 +33,11 @@ LANES = (1, 8, 16)
 CHUNK = 512  # iterations of a parallel loop: Taichi gives a thread at least as many
 # pixels: up to this size, one thread finishes before other threads have started
 MAX_SERIAL_PIXELS = 8192
-INDEX_MASK = 2**29 - 1  # most elements of a lane array
-# components of a lane array: weights of 6 unknowns on 2 edges; plain images have at most 7
+INDEX_MASK = 2**29 - 1  # bit mask of indices; a lane array has at most as many elements
+# components of a lane array: weights of 6 unknowns on 2 edges (stacks of plain images have 7)
 MAX_COMPONENTS = 12
 MAX_HALO = 4  # px: the halo of frames
-MAX_INDEX = 2**31 - 1  # of plain arrays: kernels have 32-bit indices
+MAX_INDEX = 2**31 - 1  # largest index of plain arrays: kernels have 32-bit indices
 
 LaneData = Any  # a lane array: NumPy's, or ti.ndarray for arrays on a device
 
@@ -67,7 +67,7 @@ def lane_kernel(function: Callable) -> dict[int, Kernel]:
     n lanes is ``result[n]``.
     """
 
-    def typed(element: Any, sums: Any) -> Kernel:
+    def make_kernel(element: Any, sums: Any) -> Kernel:
         elements = {LaneArray: element, SumArray: sums}
         copy = types.FunctionType(
             function.__code__, function.__globals__, function.__name__, function.__defaults__
@@ -82,8 +82,10 @@ def lane_kernel(function: Callable) -> dict[int, Kernel]:
         }
         return Kernel(copy)
 
-    wide = {lanes: typed(ti.types.vector(lanes, ti.f32), ti.f64) for lanes in LANES if lanes > 1}
-    return {1: typed(ti.f32, ti.f32), **wide}
+    vector_kernels = {
+        lanes: make_kernel(ti.types.vector(lanes, ti.f32), ti.f64) for lanes in LANES if lanes > 1
+    }
+    return {1: make_kernel(ti.f32, ti.f32), **vector_kernels}
 
 
 def lane_count(array: Any) -> int:
@@ -104,12 +106,12 @@ def lane_of(value, lane: ti.template(), lanes: ti.template()):
 
 
 @ti.func
-def set_lane(value: ti.template(), lane: ti.template(), lanes: ti.template(), part):
+def set_lane(value: ti.template(), lane: ti.template(), lanes: ti.template(), lane_value):
     """Replace one lane of a variable."""
     if ti.static(lanes > 1):
-        value[lane] = part
+        value[lane] = lane_value
     else:
-        value = part
+        value = lane_value
 
 
 @ti.func
@@ -190,7 +192,7 @@ class LaneGrid:
     # height, width: size of the image, px
     height: int
     width: int
-    lanes: int = 8  # {8, 16, 1}: number of strips: 8 or 16 for SIMD on a CPU, 1 for plain floats
+    lanes: int = 8  # number of strips: 8 or 16 for SIMD on a CPU, 1 for plain floats
     on_device: bool = False  # whether arrays stay on the device; only for one lane
 
     def __post_init__(self) -> None:
@@ -219,7 +221,7 @@ class LaneGrid:
         return columns + columns % 2
 
     @property
-    def serial(self) -> bool:
+    def is_serial(self) -> bool:
         """Whether the image is so small that kernels are faster in one thread."""
         return self.lanes > 1 and self.height * self.width <= MAX_SERIAL_PIXELS
 
@@ -273,7 +275,7 @@ class LaneGrid:
         """Return the index of every column, padding included, as float64."""
         return np.arange(self.lanes * self.strip_width, dtype=np.float64)
 
-    def inside(self) -> np.ndarray:
+    def image_mask(self) -> np.ndarray:
         """Return a NumPy lane array of 1 component: 1 on pixels of the image, else 0."""
         mask = aligned_zeros(self.shape(1))
         mask[0, 1:-1] = self.columns(self.column_index() < self.width)
@@ -320,7 +322,7 @@ def aligned_zeros(shape: tuple[int, ...]) -> np.ndarray:
 
 def aligned_empty(shape: tuple[int, ...]) -> np.ndarray:
     """Return a float32 array of arbitrary values, aligned as `aligned_zeros`."""
-    return buffers.floats(math.prod(shape)).reshape(shape)
+    return buffers.allocate_floats(math.prod(shape)).reshape(shape)
 
 
 def on_host(array: LaneData) -> np.ndarray:

@@ -30,34 +30,42 @@ class Launch:
     arguments keep their values from the time of binding. The launch keeps its arrays alive.
     """
 
-    __slots__ = ("_arguments", "_context", "_is_reusable", "_kernel", "_program", "_ready", "_run")
+    __slots__ = (
+        "_arguments",
+        "_compiled_kernel",
+        "_context",
+        "_is_reusable",
+        "_kernel",
+        "_program",
+        "_run",
+    )
 
-    def __init__(self, kernel: "Kernel", ready: tuple[Any, Any], arguments: tuple) -> None:
-        self._kernel, self._ready, self._arguments = kernel, ready, arguments
+    def __init__(self, kernel: "Kernel", compiled: tuple[Any, Any], arguments: tuple) -> None:
+        self._kernel, self._compiled_kernel, self._arguments = kernel, compiled, arguments
         self._program = internals.program()
-        self._run = internals.launcher(self._program)
+        self._run = internals.launch_function(self._program)
         # On a GPU, or with arrays on a device, a context is valid for one launch only.
-        self._context, on_host = internals.context(ready[0], kernel.arguments, arguments)
+        self._context, on_host = internals.make_context(compiled[0], kernel.arguments, arguments)
         self._is_reusable = on_host and kernel.on_cpu
 
     def __call__(self) -> None:
         """Run the kernel.
 
-        Raises RuntimeError if Taichi was started anew since the launch was bound.
+        Raises RuntimeError if Taichi was restarted after the launch was bound.
         """
         if internals.program() is not self._program:
             raise RuntimeError(
-                "Taichi was started anew since this launch was bound, and what it compiled is "
-                "gone: bind it again"
+                "Taichi was restarted after this launch was bound, and its compiled kernels are "
+                "gone: bind the launch again"
             )
         context = self._context
         if not self._is_reusable:
             if context is None:
-                context, _ = internals.context(
-                    self._ready[0], self._kernel.arguments, self._arguments
+                context, _ = internals.make_context(
+                    self._compiled_kernel[0], self._kernel.arguments, self._arguments
                 )
             self._context = None
-        self._run(self._ready[1], context)
+        self._run(self._compiled_kernel[1], context)
 
 
 class Kernel:
@@ -95,11 +103,11 @@ class Kernel:
         constants = tuple([arguments[index] for index in self.arguments.constants])
         if program is not self._program or constants not in self._compiled:
             with _compiling:
-                ready = internals.compile_kernel(self._call, arguments)
+                compiled = internals.compile_kernel(self._call, arguments)
                 if program is not self._program:
                     self._program, self._compiled = program, {}
                     self.on_cpu = internals.arch() == "cpu"
-                self._compiled[constants] = ready
+                self._compiled[constants] = compiled
         return Launch(self, self._compiled[constants], arguments)
 
 

@@ -9,7 +9,7 @@ from tisfm.kernels.layout.launch import Kernel
 from tisfm.kernels.model import MIN_DEPTH_RATIO
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
 
-READOUT_BAND = 16  # least rows of a band
+READOUT_BAND = 16  # rows: a band has at least as many
 
 
 def motion_fields(
@@ -104,9 +104,9 @@ def rigid_fields(
     focal: float,  # px
     by_pixel: bool = False,  # whether every pixel has its own thread
 ) -> None:
-    """Compute the exact flow of rigid motions, and a ρ̂ from their twists with Gρ̂ = flow.
+    """Compute the exact flow of rigid motions, and from their twists a ρ̂ with Gρ̂ = flow.
 
-    To first order ρ̂ = (D T, f·ω). The difference of the exact flow from the Gρ̂ of this is added to
+    To first order ρ̂ = (D T, f·ω). The exact flow minus the flow Gρ̂ of this first order is added to
     the first two components of ρ̂, which move a pixel right and down.
     """
     height, width = inverse_depth.shape

@@ -1,5 +1,7 @@
 """The motion model (eq. 2): image motion as a linear function of ρ̂, unrolled at compile time.
 
+Equations are numbered as in the paper that docs/method.md cites; ρ̂ are the unknowns of a pixel.
+
 The number of components determines the model: 6 for rigid motion (τ, ω), 3 for translation (τ),
 2 for the image motion itself (G = identity, for Horn and Schunck), 1 for image motion along a known
 line (G = (1, 0)ᵀ, see `tisfm.kernels.rigid.epipolar`).
@@ -46,8 +48,10 @@ def flow_of(columns: list, rho: list) -> tuple[Any, Any]:
 def flow(
     grid: LaneGrid,
     rho: LaneData,  # lane array, n components: ρ̂, px/frame
+    # x_hat, y_hat: normalised coordinates of columns, as from `LaneGrid.columns`, and of rows,
+    # (H + 2,) float32
     x_hat: LaneData,
-    y_hat: LaneData,  # (H + 2,) float32
+    y_hat: LaneData,
     out: LaneData,  # lane array, 2 components: (u, v), px/frame
 ) -> Launch:
     """Compute (u, v)ᵀ = G ρ̂."""
@@ -55,7 +59,7 @@ def flow(
     grid.check_columns(x_hat, "x_hat")
     grid.check_rows(y_hat, "y_hat")
     grid.check(out, 2, "out")
-    return _flow[grid.lanes].bind(rho, x_hat, y_hat, rho.shape[0], grid.serial, out)
+    return _flow[grid.lanes].bind(rho, x_hat, y_hat, rho.shape[0], grid.is_serial, out)
 
 
 @lane_kernel
@@ -64,10 +68,10 @@ def _flow(
     x_hat: LaneArray(1),  # (S+2,)
     y_hat: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (H+2,)
     n: ti.template(),
-    serial: ti.template(),
+    is_serial: ti.template(),
     out: LaneArray(3),  # (2, H+2, S+2)
 ):
-    ti.loop_config(serialize=serial)
+    ti.loop_config(serialize=is_serial)
     for row, position in ti.ndrange(out.shape[1] - 2, out.shape[2] - 2):
         y, s = row + 1, position + 1
         columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))

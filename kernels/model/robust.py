@@ -54,7 +54,7 @@ def scale_pairs(scales: Sequence[float]) -> tuple[float, ...]:
     return (*pairs[0], *pairs[1])
 
 
-def squares(constraints: list, u: Any, v: Any) -> Any:
+def sum_of_squares(constraints: list, u: Any, v: Any) -> Any:
     """Return the sum of the squares of a term's constraints (p, q, c)."""
     total: Any = 0.0
     for p, q, c in constraints:
@@ -63,7 +63,7 @@ def squares(constraints: list, u: Any, v: Any) -> Any:
     return bind(total)
 
 
-def products(constraints: list) -> list:
+def motion_tensor(constraints: list) -> list:
     """Return the motion tensor of a term: Σ p², p q, q², p c, q c, c²."""
     tensor: list[Any] = [0.0] * 6
     for p, q, c in constraints:
@@ -80,15 +80,15 @@ def robust_data(terms: list, scales: list, u: Any, v: Any) -> tuple[Any, list]:
     """
     energy: Any = 0.0
     tensor: list[Any] = [0.0] * 6
-    for constraints, (inverse, scale) in zip(terms, scales, strict=False):
-        q = squares(constraints, u, v)
-        root = bind(ti.sqrt(1.0 + inverse * q))
+    for constraints, (inverse_scale, scale) in zip(terms, scales, strict=False):
+        q = sum_of_squares(constraints, u, v)
+        root = bind(ti.sqrt(1.0 + inverse_scale * q))
         factor = bind(1.0 / (root * (1.0 + root)))  # one division in place of two
         weight = bind((1.0 + root) * factor)
         energy = energy + 2.0 * q * (root * factor)
         tensor = [
             total + weight * entry
-            for total, entry in zip(tensor, products(constraints), strict=True)
+            for total, entry in zip(tensor, motion_tensor(constraints), strict=True)
         ]
         tensor[5] = tensor[5] + scale * (1.0 - weight) * (root - 1.0)  # m ε²(w + 1/w − 2)
     return bind(energy), [bind(entry) for entry in tensor]

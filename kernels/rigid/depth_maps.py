@@ -7,12 +7,12 @@ inverse depth there is projected into the other view again. If more than half of
 belongs to another surface, the pixel lies beside an edge. Then the nearest surface among the points
 that round to the pixel itself is looked up instead.
 
-`merge_depths`: each source has a vote for every pixel, with the weight (d/σ)². The source with most
-votes in agreement determines the surface of the pixel. The result is the weighted mean of these
-votes.
+`merge_depths`: each source has a vote for every pixel, with the weight (d/σ)². The depth that most
+votes agree with determines the surface of the pixel. The result is the weighted mean of the votes
+that agree.
 
-`align_depth_edges`: each pixel around has a vote for the surface that it shows, with more weight if
-it is nearer and if its grey level is more similar.
+`align_depth_edges`: each pixel in a window votes for the surface that it shows. The vote has more
+weight if the pixel is nearer and if its grey level is more similar.
 """
 
 import numpy as np
@@ -21,13 +21,14 @@ import taichi as ti
 from tisfm.kernels.layout.lanes import check_array
 from tisfm.kernels.layout.launch import Kernel
 
-# All of these were set by hand.
-# relative difference of inverse depth between pixels of one surface, at most
+# All constants of this module were set by hand.
+# largest relative difference of inverse depth between pixels of one surface
 MAX_SURFACE_DIFFERENCE = 0.05
 PROJECTIONS = 2  # projections back and forth of each pixel
-MIN_SHARE = 0.5  # least share of the weights of the four pixels for the nearest surface to be used
-MIN_CENTRAL_SHARE = 1e-3  # the same share for the surface nearest to the pixel's centre
-MIN_Z = 1e-12  # least Z, which is a divisor
+# share of the weights of the four pixels around, from which the nearest surface there is used
+MIN_NEAREST_SHARE = 0.5
+MIN_CENTRAL_SHARE = 1e-3  # the same share, for the surface of the points that round to the pixel
+MIN_Z = 1e-12  # bound of Z, which is a divisor
 
 
 def render_depth(
@@ -121,7 +122,7 @@ def _look_up(
     for y, x in ti.ndrange(inverse_depth.shape[0], inverse_depth.shape[1]):
         ray = ti.Vector([(x - cx) / focal, (y - cy) / focal, 1.0])
         depth_and_deviation = _look_along_ray(
-            inverse_depth, deviation, motion, cx, cy, focal, ray, nearest[y, x], MIN_SHARE
+            inverse_depth, deviation, motion, cx, cy, focal, ray, nearest[y, x], MIN_NEAREST_SHARE
         )
         if depth_and_deviation[0] <= 0.0:
             depth_and_deviation = _look_along_ray(
@@ -145,7 +146,7 @@ def _look_along_ray(
         if value > 0.0 and source[2] > MIN_Z:
             column = source[0] / source[2] * focal + cx
             row = source[1] / source[2] * focal + cy
-            sums = _mean(inverse_depth, deviation, row, column, value / source[2])
+            sums = _sum_surface(inverse_depth, deviation, row, column, value / source[2])
             if sums[0] > min_share:
                 depth = sums[1] / sums[0]
                 source_ray = ti.Vector([(column - cx) / focal, (row - cy) / focal, 1.0])
@@ -160,7 +161,9 @@ def _look_along_ray(
 
 
 @ti.func
-def _mean(inverse_depth: ti.template(), deviation: ti.template(), row, column, expected):
+def _sum_surface(
+    inverse_depth: ti.template(), deviation: ti.template(), row, column, surface_depth
+):
     """Return Σw, Σw·d and Σw·σ of the pixels that show the surface, among the four around."""
     sums = ti.Vector([0.0, 0.0, 0.0])
     left, top = ti.cast(ti.floor(column), ti.i32), ti.cast(ti.floor(row), ti.i32)
@@ -169,8 +172,8 @@ def _mean(inverse_depth: ti.template(), deviation: ti.template(), row, column, e
         is_inside = right >= 0 and right < inverse_depth.shape[1]
         if is_inside and down >= 0 and down < inverse_depth.shape[0]:
             depth = inverse_depth[down, right]
-            difference = ti.max(depth - expected, expected - depth)
-            if depth > 0.0 and difference < MAX_SURFACE_DIFFERENCE * expected:
+            difference = ti.max(depth - surface_depth, surface_depth - depth)
+            if depth > 0.0 and difference < MAX_SURFACE_DIFFERENCE * surface_depth:
                 dx, dy = column - right, row - down
                 weight = (1.0 - ti.max(dx, 0.0 - dx)) * (1.0 - ti.max(dy, 0.0 - dy))
                 sums = sums + weight * ti.Vector([1.0, depth, deviation[down, right]])
@@ -277,12 +280,12 @@ def align_depth_edges(
     # surface
     threshold: np.ndarray,
     frame: np.ndarray,  # (H, W) float32: grey levels
-    # out, out_deviation: (H, W) float32, the same values, but where most votes are for the other
-    # surface, the weighted mean over its pixels
+    # out, out_deviation: (H, W) float32: the same values; where most votes are for the other
+    # surface, the weighted mean over the pixels of that surface
     out: np.ndarray,
     out_deviation: np.ndarray,
     *,
-    grey_decay: float,  # grey levels: a pixel with this difference has the weight 1/e
+    grey_decay: float,  # grey levels: a difference that reduces the weight of a pixel to 1/e
 ) -> None:
     """Move depth edges to edges of the frame.
 

@@ -22,8 +22,10 @@ def displacement(
     inverse_depth: LaneData,  # lane array, 1 component: D
     # lane array, 1 component: index of each pixel's motion, a whole number from 0
     labels: LaneData,
+    # x_hat, y_hat: normalised coordinates of columns, as from `LaneGrid.columns`, and of rows,
+    # (H + 2,) float32
     x_hat: LaneData,
-    y_hat: LaneData,  # (H + 2,) float32
+    y_hat: LaneData,
     flow: LaneData,  # lane array, 2 components: (u, v) = f·(π(R x̂ + d t) − x̂), px/frame
     direction: LaneData,  # lane array, 2 components: a = ∂(u, v)/∂D
     *,

@@ -4,8 +4,8 @@ A hypothesis is a displacement (u, v) of the whole window. Its cost is 1 − c, 
 of `tisfm.kernels.rigid.windows`. Good hypotheses propagate from pixel to pixel, and random ones are
 drawn around them.
 
-The state is an (H, W, 4) array: u and v in px/frame, the cost, `UNTEXTURED` where the window shows
-only noise, and 1 or 0, whether the pixel is searched.
+The state is an (H, W, 4) array: u and v in px/frame, the cost (`UNTEXTURED` where the window shows
+only noise), and 1 for a pixel whose displacement is searched, else 0.
 
 References
 ----------
@@ -75,7 +75,8 @@ class FlowSearch:
         self,
         state: np.ndarray,  # (H, W, 4) float32: state with costs, from `score`
         *,
-        reach: int,  # px, odd, so that the neighbours of red pixels are black
+        # px: distance of the far neighbours; odd, so that those of red pixels are black
+        neighbour_distance: int,
         draws: int,
         # largest and smallest range of the draws in u and in v, px/frame
         spans: tuple[float, float],
@@ -83,20 +84,31 @@ class FlowSearch:
     ) -> None:
         """Replace displacements by better ones, in place: first at red, then at black pixels.
 
-        Each pixel compares its displacement with those of its neighbours 1 and `reach` px away in
-        four directions, and with `draws` random displacements around it. Each draw has half the
-        range of the previous draw; after the smallest range, the largest follows again. No cost
-        rises, and pixels that are not searched stay unchanged.
+        Each pixel compares its displacement with those of eight neighbours, 1 and
+        `neighbour_distance` px away in four directions, and with `draws` random displacements
+        around it. Each draw has half the range of the previous draw; after the smallest range, the
+        largest follows again. No cost rises, and pixels that are not searched stay unchanged.
         """
         self._check(state)
-        if reach % 2 != 1:
-            raise ValueError(f"reach is {reach}: expected an odd number of pixels")
-        searched, width = _searched_pixels(state), self._shape[1]
-        black = (searched // width + searched) % 2 if width % 2 == 0 else searched % 2
+        if neighbour_distance % 2 != 1:
+            raise ValueError(
+                f"neighbour_distance is {neighbour_distance}: expected an odd number of pixels"
+            )
+        indices, width = _searched_pixels(state), self._shape[1]
+        colors = (indices // width + indices) % 2 if width % 2 == 0 else indices % 2  # 1: black
         for color in range(2):
-            pixels, draw_seed = searched[black == color], 2 * seed + color
+            pixels, draw_seed = indices[colors == color], 2 * seed + color
             if pixels.size:
-                _improve(*self._images, self._noise, reach, draws, *spans, draw_seed, pixels, state)
+                _improve(
+                    *self._images,
+                    self._noise,
+                    neighbour_distance,
+                    draws,
+                    *spans,
+                    draw_seed,
+                    pixels,
+                    state,
+                )
 
     def _check(self, state: np.ndarray) -> None:
         check_array(state, (*self._shape, 4), "state", aligned=False)
@@ -108,12 +120,12 @@ def propagate_flow(
     distance: np.ndarray,
     state: np.ndarray,  # (H, W, 4) float32: u and v first, px/frame; in place
     *,
-    edge: float,  # step of grey levels that adds the length of a pixel; above 0
+    edge: float,  # grey levels: a difference that lengthens a step by 1 px; above 0
 ) -> None:
     """Propagate displacements along rows and columns, in both directions, if the path is shorter.
 
-    A step from pixel to pixel has the length 1 + |ΔI| / edge. Repeated, this gives every pixel the
-    displacement of the pixel of distance 0 that is nearest along such steps.
+    A step from pixel to pixel has the length 1 + |ΔI| / edge. After enough calls, every pixel has
+    the displacement of the pixel of distance 0 whose path to it is shortest.
     """
     check_array(guide, guide.shape, "guide", aligned=False)
     check_array(distance, guide.shape, "distance", aligned=False)
@@ -157,7 +169,7 @@ def _improve(
     grey0: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H + 2·RADIUS, W + 2·RADIUS)
     packed1: ti.types.ndarray(dtype=ti.i32, ndim=1),  # (H·W,)
     noise: ti.f32,
-    reach: ti.i32,
+    neighbour_distance: ti.i32,
     draws: ti.i32,
     max_span: ti.f32,
     min_span: ti.f32,
@@ -177,7 +189,7 @@ def _improve(
             for n in range(8 + draws):  # 8 neighbours, then random draws
                 other = best
                 if n < 8:
-                    other = _neighbour(state, y, x, n, reach, best)
+                    other = _neighbour(state, y, x, n, neighbour_distance, best)
                 else:
                     other[0] += span * (2.0 * random_unit(random) - 1.0)
                     other[1] += span * (2.0 * random_unit(random + ti.u32(1)) - 1.0)
@@ -194,9 +206,9 @@ def _improve(
 
 
 @ti.func
-def _neighbour(state: ti.template(), y, x, n, reach, best):
+def _neighbour(state: ti.template(), y, x, n, neighbour_distance, best):
     """Return `best` with the displacement of one of eight neighbours, if inside the image."""
-    distance = ti.select(n < 4, 1, reach)
+    distance = ti.select(n < 4, 1, neighbour_distance)
     direction = n % 4
     row = y + ti.select(direction == 0, distance, ti.select(direction == 1, -distance, 0))
     column = x + ti.select(direction == 2, distance, ti.select(direction == 3, -distance, 0))
@@ -253,6 +265,6 @@ def _propagate(
                     )
                     if new_distance < distance[y, x]:
                         distance[y, x] = new_distance
-                        other, own = state[previous_y, previous_x], state[y, x]
-                        own[0], own[1] = other[0], other[1]
-                        state[y, x] = own
+                        previous_state, new_state = state[previous_y, previous_x], state[y, x]
+                        new_state[0], new_state[1] = previous_state[0], previous_state[1]
+                        state[y, x] = new_state

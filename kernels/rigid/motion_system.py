@@ -13,7 +13,13 @@ from tisfm.kernels.layout.internals import bind
 from tisfm.kernels.layout.lanes import LaneArray, LaneData, SumArray, lane_count, lane_kernel
 from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store_sum
 from tisfm.kernels.model import MIN_DEPTH_RATIO, MIN_DIVISOR
-from tisfm.kernels.model.robust import check_constraints, products, scale_pairs, squares, terms_of
+from tisfm.kernels.model.robust import (
+    check_constraints,
+    motion_tensor,
+    scale_pairs,
+    sum_of_squares,
+    terms_of,
+)
 from tisfm.kernels.rigid.epipolar import check_geometry
 from tisfm.kernels.solve.linear_system import LinearSystem
 
@@ -22,7 +28,7 @@ def motion_system(
     # the system of D, with one unknown per pixel; its edge weights and coordinates are read
     system: LinearSystem,
     # lane array, 3 components for each of 1 to 3 constraints: (p, q, c)
-    # (`tisfm.kernels.data.constraints`), not restricted to epipolar lines
+    # (`tisfm.kernels.data.constraints`), not restricted to epipolar constraints
     constraints: LaneData,
     inverse_depth: LaneData,  # lane array, 1 component: D
     labels: LaneData,  # lane array, 1 component
@@ -99,18 +105,18 @@ def _motion_system(
             u, v = focal * (x - x_hat[s]), focal * (yy - y_hat[y])
             a = nearness * (motion[0, 3] - x * motion[2, 3])
             b = nearness * (motion[1, 3] - yy * motion[2, 3])
-            lines = ti.static(
+            constraints = ti.static(
                 [[bind(terms[3 * i + k, y, s]) for k in range(3)] for i in range(count)]
             )
-            parts = ti.static(terms_of(lines))
-            square = ti.static([bind(squares(part, u, v)) for part in parts])
+            data_terms = ti.static(terms_of(constraints))
+            square = ti.static([bind(sum_of_squares(part, u, v)) for part in data_terms])
             residual = 0.0 * u
-            for part in ti.static(range(len(parts))):
+            for part in ti.static(range(len(data_terms))):
                 residual += square[part]
             weight = 1.0 / (1.0 + residual_scale * residual)
             weight = is_label * weight * weight
             j11, j12, j22, j1, j2 = ti.static(
-                _weighted_tensor(parts, square, (inverse_scale0, inverse_scale1), weight)
+                _weighted_tensor(data_terms, square, (inverse_scale0, inverse_scale1), weight)
             )
             g1, g2 = j11 * u + j12 * v + j1, j12 * u + j22 * v + j2
             neighbours = weights[0, y, s] + weights[0, y, s - 1]
@@ -144,12 +150,12 @@ def coordinate(motion: ti.template(), row: ti.template(), x, y, d):
     return rotated + d * motion[row, 3]
 
 
-def _weighted_tensor(parts: list, square: list, inverses: tuple, pixel_weight: Any) -> list:
+def _weighted_tensor(data_terms: list, square: list, inverses: tuple, pixel_weight: Any) -> list:
     """Return the weighted sums of J11, J12, J22, j1 and j2 over all terms."""
     total: list[Any] = [0.0] * 5
-    for lines, q, inverse in zip(parts, square, inverses, strict=False):
+    for constraints, q, inverse in zip(data_terms, square, inverses, strict=False):
         weight = bind(pixel_weight / ti.sqrt(1.0 + inverse * q))
-        entries = products(lines)[:5]
+        entries = motion_tensor(constraints)[:5]
         total = [
             entry_sum + weight * entry for entry_sum, entry in zip(total, entries, strict=True)
         ]
@@ -157,7 +163,10 @@ def _weighted_tensor(parts: list, square: list, inverses: tuple, pixel_weight: A
 
 
 def motion_columns(x: Any, y: Any, translation_factor: Any, focal: Any) -> list[tuple[Any, Any]]:
-    """Return the columns of B at a point (x, y, 1) after the motion, with lever = f·d/depth."""
+    """Return the columns of B at a point (x, y, 1) after the motion.
+
+    `translation_factor` is f·d over the depth ratio.
+    """
     zero = bind(0.0 * x)
     xy = bind(focal * x * y)
     return [

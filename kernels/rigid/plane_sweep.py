@@ -33,12 +33,13 @@ def matching_cost(
     # first, step: px/frame
     first: float,
     step: float,
-    guess_distance: float,  # difference from `guess` at which its cost is full, px/frame
+    guess_distance: float,  # difference from `guess` from which its cost is constant, px/frame
 ) -> None:
     """Compute the matching cost of every pixel of frame 0 for several inverse depths.
 
     A cost is min(1, |ΔI|) + min(1, |ΔI_x| + |ΔI_y|), in the units of the features, or 1 if the
-    hypothesis moves the pixel out of the image. weight·min(1, |D − guess|/near) is added.
+    hypothesis moves the pixel out of the image. weight·min(1, |D − guess|/guess_distance) is
+    added.
     """
     height, width = guess.shape
     lanes = 1 if out.ndim == 3 else out.shape[3]
@@ -74,7 +75,8 @@ def _matching_cost(
     lanes = ti.static(lane_count(out))
     for y, x in ti.ndrange(height, width):
         x_hat, y_hat = (x - cx) / focal, (y - cy) / focal
-        # The moved point is p + D t / f, in units of its depth before; x and y are multiplied by f.
+        # The moved point is p + D t / f, in units of its depth before the motion; x and y are
+        # multiplied by f.
         p1 = focal * (motion[0, 0] * x_hat + motion[0, 1] * y_hat + motion[0, 2])
         p2 = focal * (motion[1, 0] * x_hat + motion[1, 1] * y_hat + motion[1, 2])
         p3 = motion[2, 0] * x_hat + motion[2, 1] * y_hat + motion[2, 2]

@@ -17,14 +17,14 @@ from tisfm.kernels.layout.lanes import (
 )
 from tisfm.kernels.layout.launch import Kernel
 
-UNUSED_COST = 1e6  # cost of unused places in vectors; more than any sum along a path
+UNUSED_COST = 1e6  # cost of unused elements of vectors; more than any sum along a path
 COLUMNS = 32  # columns that a thread processes together, because rows are contiguous in memory
 MIN_CURVATURE = 1e-6  # least curvature of the parabola, for hypotheses of equal cost
 
 
 def aggregate(
-    # (H, W, M[, lanes]) float32: C of every pixel and hypothesis; `UNUSED_COST` in unused places of
-    # the last vector
+    # (H, W, M[, lanes]) float32: C of every pixel and hypothesis; `UNUSED_COST` in unused elements
+    # of the last vector
     cost: np.ndarray,
     guide: np.ndarray,  # (H, W) float32: grey levels I of frame 0
     out: np.ndarray,  # the sum of L over the four paths
@@ -60,7 +60,7 @@ def best_hypothesis(
     # good hypotheses the first
     out: np.ndarray,
     *,
-    count: int,  # number of hypotheses among the N places; at least 2
+    count: int,  # number of hypotheses, the first of the N elements; at least 2
 ) -> None:
     """Find the hypothesis of least cost, refined by a parabola through three costs."""
     check_array(cost, cost.shape, "cost")
@@ -130,19 +130,21 @@ def _sum_lines(
     lanes = ti.static(lane_count(cost))
     length = cost.shape[1] if ti.static(across) else cost.shape[0]
     for direction in range(2):
-        is_sum = direction == 1 or ti.static(not across)
+        is_addition = direction == 1 or ti.static(not across)
         for line in range(first, end):
             minima[line] = 0.0
             for m in range(count):
                 path[line, m] = 0.0 * cost[0, 0, m]
         for i in range(length):
-            at = i if direction == 0 else length - 1 - i
-            previous_at = ti.max(0, ti.min(at - 1 + 2 * direction, length - 1))
+            position = i if direction == 0 else length - 1 - i
+            previous_position = ti.max(0, ti.min(position - 1 + 2 * direction, length - 1))
             for line in range(first, end):
-                y = line if ti.static(across) else at
-                x = at if ti.static(across) else line
+                y = line if ti.static(across) else position
+                x = position if ti.static(across) else line
                 difference = guide[y, x] - (
-                    guide[y, previous_at] if ti.static(across) else guide[previous_at, x]
+                    guide[y, previous_position]
+                    if ti.static(across)
+                    else guide[previous_position, x]
                 )
                 difference = ti.max(difference, 0.0 - difference)
                 previous_minimum = minima[line]
@@ -162,7 +164,7 @@ def _sum_lines(
                     best = ti.min(ti.min(current, neighbour + step), jump_cost)
                     value = cost[y, x, m] + best - previous_minimum
                     path[line, m] = value
-                    if is_sum:
+                    if is_addition:
                         out[y, x, m] = out[y, x, m] + value  # not +=, which would be atomic
                     else:
                         out[y, x, m] = value

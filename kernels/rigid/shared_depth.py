@@ -1,8 +1,8 @@
-"""Equations of several frames compared with one keyframe, whose pixels have one inverse depth.
+"""Equations of several frames compared with one keyframe; its pixels have one inverse depth each.
 
 A small change (δt, δω) of a frame's motion adds d δt + δω × (R x̂ + d t) to R x̂ + d t, and
 B (δt, δω) to the flow; a change δD adds a δD to the flow. With e = J u + j, a frame adds BᵀJB and
-Bᵀe to the equations of its own motion, and aᵀJa and aᵀe to the equation of every pixel's depth;
+Bᵀe to the equations of its motion, and aᵀJa and aᵀe to the equation of every pixel's depth;
 aᵀJB couples the two. Depth can be eliminated only after all frames are added.
 
 With fixed motions, the data term of a frame along its epipolar line is A D² + 2 B D + C. These
@@ -34,9 +34,9 @@ from tisfm.kernels.rigid.motion_system import (
     tensor_columns,
 )
 
-SUMS = 27  # the upper triangle of BᵀJB, row by row, then Bᵀe
-PAIR = 42  # sums of a pair of frames: a 6 × 6 block, and a vector of 6 for a frame with itself
-ROWS = 8  # image rows that one thread sums in a fixed order
+FRAME_SUMS = 27  # sums of a frame: the upper triangle of BᵀJB, row by row, then Bᵀe
+PAIR_SUMS = 42  # sums of a pair of frames: a 6 × 6 block, and a vector of 6 for a frame with itself
+TASK_ROWS = 8  # image rows that one thread sums in a fixed order
 
 
 @operation
@@ -61,8 +61,10 @@ def add_frame(
     inverse_depth: LaneData,  # lane array, 1 component: D = f·d
     # lane array, 1 component: weight of each pixel of the keyframe; 0 outside the image
     weight: LaneData,
+    # x_hat, y_hat: normalised coordinates of columns, as from `LaneGrid.columns`, and of rows,
+    # (H + 2,) float32
     x_hat: LaneData,
-    y_hat: LaneData,  # (H + 2,) float32
+    y_hat: LaneData,
     # lane array, 6 components for each frame: aᵀJB of all frames; the 6 components of this frame
     # are overwritten
     slopes: LaneData,
@@ -73,7 +75,7 @@ def add_frame(
     focal: float,  # px
     # squared residual at which the weight of the data is a quarter (Geman–McClure)
     quarter_weight_residual: float,
-) -> tuple[np.ndarray, np.ndarray]:  # matrix, vector, (6, 6) and (6,) float64: bᵀJB and Bᵀe
+) -> tuple[np.ndarray, np.ndarray]:  # matrix, vector, (6, 6) and (6,) float64: BᵀJB and Bᵀe
     """Sum the equations of a frame's motion, and add its part to the equations of depth."""
     grid.check(tensor, 6, "tensor")
     grid.check(inverse_depth, 1, "inverse_depth")
@@ -83,7 +85,7 @@ def add_frame(
     grid.check(slopes, 6 * _frames_of(slopes, number), "slopes")
     grid.check(sums, 2, "sums")
     check_array(motion, (3, 4), "motion", aligned=False)
-    partial = block_sums(grid, SUMS)
+    partial = block_sums(grid, FRAME_SUMS)
     _add_frame[grid.lanes](
         tensor, inverse_depth, weight, x_hat, y_hat, motion, focal, 1 / quarter_weight_residual,
         6 * number, slopes, sums, partial,
@@ -105,8 +107,8 @@ def eliminate_depth(
 
     The caller subtracts them from the equations of the motions.
 
-    Returns a matrix and a vector, (6 M, 6 M) and (6 M,) float64: Σ s sᵀ / (c + held) and Σ s g / (c
-    + held) over the pixels.
+    Returns a matrix and a vector, (6 M, 6 M) and (6 M,) float64: Σ s sᵀ / (c + σ) and Σ s g / (c
+    + σ) over the pixels, with σ the depth stiffness.
     """
     count = _frames_of(slopes, 0)
     grid.check(slopes, 6 * count, "slopes")
@@ -114,8 +116,10 @@ def eliminate_depth(
     if not depth_stiffness > 0:
         raise ValueError(f"depth_stiffness is {depth_stiffness}: expected a positive number")
     pairs = np.stack(np.triu_indices(count), axis=1).astype(np.int32)
-    bands = -(-grid.height // ROWS)
-    partial = np.zeros((bands, len(pairs), PAIR), np.float32 if grid.lanes == 1 else np.float64)
+    bands = -(-grid.height // TASK_ROWS)
+    partial = np.zeros(
+        (bands, len(pairs), PAIR_SUMS), np.float32 if grid.lanes == 1 else np.float64
+    )
     _eliminate_depth[grid.lanes](slopes, sums, depth_stiffness, pairs, partial)
     total = partial.sum(axis=0, dtype=np.float64)
     matrix, vector = np.zeros((count, 6, count, 6)), np.zeros((count, 6))
@@ -169,7 +173,7 @@ def _add_frame(
     for index in range(height * blocks):
         row, block = index // blocks, index % blocks
         y = row + 1
-        sums = ti.static([bind(0.0 * x_hat[1]) for _ in range(SUMS)])
+        sums = ti.static([bind(0.0 * x_hat[1]) for _ in range(FRAME_SUMS)])
         for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
             s = position + 1
             d = inverse_depth[0, y, s] / focal
@@ -200,7 +204,7 @@ def _add_frame(
                         + columns[i][1] * weighted_columns[j][1]
                     )
                 sums[21 + i] += columns[i][0] * g1 + columns[i][1] * g2
-        for k in ti.static(range(SUMS)):
+        for k in ti.static(range(FRAME_SUMS)):
             store_sum(partial, row, block, k, sums[k], ti.static(lane_count(weight)))
 
 
@@ -217,18 +221,18 @@ def _eliminate_depth(
     for index in range(partial.shape[0] * count):
         band, pair = index // count, index % count
         first, second = 6 * pairs[pair, 0], 6 * pairs[pair, 1]
-        sums = ti.static([bind(0.0 * depth_sums[0, 1, 1]) for _ in range(PAIR)])
-        for y in range(band * ROWS + 1, ti.min((band + 1) * ROWS, height) + 1):
+        sums = ti.static([bind(0.0 * depth_sums[0, 1, 1]) for _ in range(PAIR_SUMS)])
+        for y in range(band * TASK_ROWS + 1, ti.min((band + 1) * TASK_ROWS, height) + 1):
             for s in range(1, strip + 1):
                 inverse = 1.0 / (depth_sums[0, y, s] + depth_stiffness)
-                other_slopes = ti.static([bind(slopes[second + k, y, s]) for k in range(6)])
+                second_slopes = ti.static([bind(slopes[second + k, y, s]) for k in range(6)])
                 step = inverse * depth_sums[1, y, s]
                 for i in ti.static(range(6)):
-                    own = slopes[first + i, y, s]
-                    sums[36 + i] += own * step
-                    scaled = inverse * own
+                    first_slope = slopes[first + i, y, s]
+                    sums[36 + i] += first_slope * step
+                    scaled_slope = inverse * first_slope
                     for j in ti.static(range(6)):
-                        sums[6 * i + j] += scaled * other_slopes[j]
+                        sums[6 * i + j] += scaled_slope * second_slopes[j]
         for i in ti.static(range(7)):  # two loops, as Taichi warns about long unrolled loops
             for j in ti.static(range(6)):
                 k = ti.static(6 * i + j)

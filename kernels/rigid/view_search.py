@@ -1,9 +1,9 @@
 """PatchMatch with several frames: the plane of best match between a keyframe and other frames.
 
-The cost of a hypothesis is the mean of its costs in a fixed number of frames, those of least cost:
-in the others the surface may be hidden or outside the image. A plane may represent a square of
-pixels, a cell of a grid; then only the window around one pixel of the cell is compared. All else is
-as in `tisfm.kernels.rigid.patch_match`.
+The cost of a hypothesis is the mean of its least costs, in a fixed number of frames: in the other
+frames the surface may be hidden or outside the image. A plane may represent a square of pixels, a
+cell of a grid; then only the window around the upper left pixel of the cell is compared. All else
+is as in `tisfm.kernels.rigid.patch_match`.
 
 The state is an (h, w, 4) array: D at the centre of a cell, px, its change from cell to cell to the
 east and to the south, and the cost.
@@ -39,9 +39,9 @@ from tisfm.kernels.rigid.windows import (
     pad_border,
 )
 
-MAX_FRAMES = 4  # most frames in the mean of a cost
-# Cost of a frame that does not show a hypothesis, if other frames do: about that of a just reliable
-# match. So pixels near the border are matched in the frames that show them.
+MAX_FRAMES = 4  # limit of the frames in the mean of a cost
+# Cost of a frame that does not show a hypothesis, if other frames show it: about the cost of a
+# match that is just reliable. So pixels near the border are matched in the frames that show them.
 MISSING_FRAME_COST = 0.25
 
 _Plane = ti.types.vector(4, ti.f32)
@@ -123,7 +123,7 @@ class ViewSearch:
                 draws, spread, tilt, 2 * seed + color, planes,
             )  # fmt: skip
 
-    def costs(self, planes: np.ndarray, out: np.ndarray) -> None:
+    def write_costs(self, planes: np.ndarray, out: np.ndarray) -> None:
         """Write the costs of planes (h, w, 4) float32 in every frame, (M, h, w) float32."""
         self._check(planes)
         check_array(out, (self.count, *self.shape), "out", aligned=False)

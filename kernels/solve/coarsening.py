@@ -123,7 +123,7 @@ def _restrict_residual(
     rho: LaneArray(3),  # (n, H+2, S+2)
     height: ti.i32,
     n: ti.template(),
-    sets: ti.template(),
+    weight_count: ti.template(),  # weights of an edge: n, or 1
     has_source: ti.template(),
     out: LaneArray(3),  # (n, h+2, S/2+2)
 ):
@@ -131,7 +131,7 @@ def _restrict_residual(
     for row, position in ti.ndrange(rows, strip):
         alphas = ti.static([bind(alpha[k]) for k in range(n)])
         stride = rho.shape[2] & INDEX_MASK
-        starts = ti.static(component_starts(rho, max(6, 2 * sets)))
+        starts = ti.static(component_starts(rho, max(6, 2 * weight_count)))
         total = ti.static([bind(0.0 * x_hat[1]) for _ in range(n)])
         for y in range(2 * row + 1, ti.min(2 * row + 2, height) + 1):
             for side in ti.static(range(2)):
@@ -139,7 +139,7 @@ def _restrict_residual(
                 i = (y * stride + s) & INDEX_MASK
                 columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
                 center = ti.static([bind(element(rho, i + starts[k])) for k in range(n)])
-                edges = ti.static(edges_at(weights, starts, stride, sets, i))
+                edges = ti.static(edges_at(weights, starts, stride, weight_count, i))
                 residual = ti.static(
                     residual_at(
                         tensor, edges, columns, source if has_source else None, alphas, starts,
@@ -154,7 +154,7 @@ def _restrict_residual(
 
 @operation
 def relayout(
-    coarse: LaneGrid,  # the grid; one of the two arrays has its strips
+    coarse: LaneGrid,  # the grid of the image; one of the two arrays has the strips of this grid
     array: LaneData,  # lane array, k components
     out: LaneData,  # lane array, k components: the padding becomes 0; the halo rows are not written
 ) -> Launch:
@@ -164,19 +164,19 @@ def relayout(
         check_array(layout, shape if coarse.lanes == 1 else (*shape, coarse.lanes), name)
         if coarse.lanes * (layout.shape[2] - 2) < coarse.width:
             raise ValueError(f"{name} has too few columns for a grid {coarse.width} px wide")
-    return _relayout[coarse.lanes].bind(array, coarse.width, coarse.serial, out)
+    return _relayout[coarse.lanes].bind(array, coarse.width, coarse.is_serial, out)
 
 
 @lane_kernel
 def _relayout(
     array: LaneArray(3),  # (k, h+2, s+2)
     width: ti.i32,
-    serial: ti.template(),
+    is_serial: ti.template(),
     out: LaneArray(3),  # (k, h+2, S+2)
 ):
     old_strip, new_strip = array.shape[2] - 2, out.shape[2] - 2
     lanes = ti.static(lane_count(out))
-    ti.loop_config(serialize=serial)
+    ti.loop_config(serialize=is_serial)
     for row, position in ti.ndrange(out.shape[1] - 2, new_strip + 2):
         for lane in ti.static(range(lanes)):
             column = lane * new_strip + position - 1
@@ -193,9 +193,8 @@ def add_correction(
     # halved array, n components: its halo columns must be valid; it is not read beyond the border
     # of the image
     coarse: LaneData,
-    column_weights: tuple[
-        LaneData, LaneData
-    ],  # column tables of 2: results of `interpolation_columns`
+    # the two tables of `interpolation_columns`
+    column_weights: tuple[LaneData, LaneData],
     rho: LaneData,  # lane array, n components
 ) -> None:
     """Add a coarse correction, interpolated bilinearly, to `rho`, in place, halo included."""
@@ -238,15 +237,15 @@ def _add_correction(
             s, parent = 2 * position + 1 + side, position + 1
             neighbour = parent - 1 + 2 * side
             for k in ti.static(range(n)):
-                own_row = (
+                parent_row = (
                     parent_weight[s] * coarse[k, y, parent]
                     + neighbour_weight[s] * coarse[k, y, neighbour]
                 )
-                other_row = (
+                neighbour_row = (
                     parent_weight[s] * coarse[k, next_row, parent]
                     + neighbour_weight[s] * coarse[k, next_row, neighbour]
                 )
-                rho[k, row + 1, s] = rho[k, row + 1, s] + 0.75 * own_row + 0.25 * other_row
+                rho[k, row + 1, s] = rho[k, row + 1, s] + 0.75 * parent_row + 0.25 * neighbour_row
     for k, row in ti.ndrange(n, height):
         refresh_halo(rho, k, row + 1)
 

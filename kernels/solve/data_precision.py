@@ -23,8 +23,8 @@ def data_precision(
     out: LaneData,
 ) -> None:
     """Compute precision and residual of the data, and the covariance given the neighbours."""
-    sets = arrays[1].shape[0] // 2
-    _data_precision[grid.lanes](*arrays, rho, rho.shape[0], sets, out)
+    weight_count = arrays[1].shape[0] // 2
+    _data_precision[grid.lanes](*arrays, rho, rho.shape[0], weight_count, out)
 
 
 @lane_kernel
@@ -36,7 +36,7 @@ def _data_precision(
     alpha: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
     rho: LaneArray(3),  # (n, H+2, S+2)
     n: ti.template(),
-    sets: ti.template(),
+    weight_count: ti.template(),  # weights of an edge: n, or 1
     out: LaneArray(3),  # (7, H+2, S+2)
 ):
     for row, position in ti.ndrange(out.shape[1] - 2, out.shape[2] - 2):
@@ -48,10 +48,10 @@ def _data_precision(
         m11, m12, m22 = 0.0 * x_hat[s], 0.0 * x_hat[s], 0.0 * x_hat[s]
         for k in ti.static(range(n)):
             a, b = ti.static(columns[k])
-            east, south = ti.static(k % sets, sets + k % sets)
-            neighbours = weights[east, y, s] + weights[east, y, s - 1]
-            neighbours += weights[south, y, s] + weights[south, y - 1, s]
-            variance = 1.0 / (alpha[k] * neighbours + MIN_DIVISOR)
+            east, south = ti.static(k % weight_count, weight_count + k % weight_count)
+            weight_sum = weights[east, y, s] + weights[east, y, s - 1]
+            weight_sum += weights[south, y, s] + weights[south, y - 1, s]
+            variance = 1.0 / (alpha[k] * weight_sum + MIN_DIVISOR)
             m11 += a * a * variance
             m12 += a * b * variance
             m22 += b * b * variance
@@ -70,7 +70,7 @@ def share_of_data(
     half_share_residual: float,  # the squared residual that halves the share; above 0
     freedom: int,  # {2, 1}: degrees of freedom of a pixel's flow; if 1, M is of rank 1
 ) -> None:
-    """Compute tr[J M (I + J M)⁻¹]/freedom, divided by 1 + residual/tolerated."""
+    """Compute tr[J M (I + J M)⁻¹]/freedom, divided by 1 + residual/half_share_residual."""
     check_array(out, out.shape[:2], "out", aligned=False)
     check_array(precision, (7, *out.shape), "precision", aligned=False)
     if freedom not in (1, 2):

@@ -36,7 +36,7 @@ def line_search(
     previous: LaneData,
     step: LaneData,
 ) -> None:
-    """Move to the minimum of the energy over before + p (rho − before) + q step.
+    """Move to the minimum of the energy over previous + p (rho − previous) + q step.
 
     If the slope along the correction is only rounding error, as at the solution, p = 1 and q = 0:
     the computed p would be the ratio of two rounding errors, which can have any size.
@@ -54,15 +54,17 @@ def plane_energy(
     previous: LaneData,
     step: LaneData,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the quadratic energy of before + p correction + q step, as a function of p and q.
+    """Return the quadratic energy of previous + p correction + q step, as a function of p and q.
 
     The function returns a matrix and a vector, (2, 2) and (2,) float64: the energy changes by zᵀ
     matrix z + 2 zᵀ vector, with z = (p, q). An entry of the vector that is only rounding error is
     set to 0.
     """
     partial = block_sums(grid, 7)
-    sets = arrays[1].shape[0] // 2
-    _plane_energy[grid.lanes](*arrays, correction, previous, step, previous.shape[0], sets, partial)
+    weight_count = arrays[1].shape[0] // 2
+    _plane_energy[grid.lanes](
+        *arrays, correction, previous, step, previous.shape[0], weight_count, partial
+    )
     return quadratic_of_sums(partial)
 
 
@@ -102,7 +104,7 @@ def _plane_energy(
     previous: LaneArray(3),  # (n, H+2, S+2)
     step: LaneArray(3),  # (n, H+2, S+2)
     n: ti.template(),
-    sets: ti.template(),
+    weight_count: ti.template(),  # weights of an edge: n, or 1
     partial: SumArray(3),  # (H, blocks, 7)
 ):
     height, strip = previous.shape[1] - 2, previous.shape[2] - 2
@@ -133,7 +135,7 @@ def _plane_energy(
             sums[6] += size_u * size_of(c) + size_v * size_of(d)
             for side in ti.static(range(2)):  # east, south
                 for k in ti.static(range(n)):
-                    weight = alpha[k] * weights[sets * side + k % sets, y, s]
+                    weight = alpha[k] * weights[weight_count * side + k % weight_count, y, s]
                     previous_step = previous[k, y + side, s + 1 - side] - previous[k, y, s]
                     correction_step = correction[k, y + side, s + 1 - side] - correction[k, y, s]
                     last_step = step[k, y + side, s + 1 - side] - step[k, y, s]
@@ -166,7 +168,7 @@ def subtract(grid: LaneGrid, previous: LaneData, rho: LaneData) -> Launch:
     """Replace a corrected `rho` by the correction, in place, halo included.
 
     The difference must be stored in memory. As an expression inside `_plane_energy` it would be
-    reordered, with rounding errors of the size of the unknowns' instead of the correction's.
+    reordered, with rounding errors as large as those of the unknowns, not of the correction.
     """
     return _subtract[grid.lanes].bind(previous, rho)
 

@@ -1,7 +1,7 @@
-"""Red–black Gauss–Seidel sweeps with over-relaxation (eq. 16, 22–23).
+"""Red–black Gauss–Seidel sweeps with over-relaxation (eq. 16, 22–23 of the paper, docs/method.md).
 
-At each pixel, B = GᵀJG + α·diag(b̄), and the update is ρ̂ ← ρ̂ + ω_r·B⁻¹(c − Bρ̂). The iteration is
-the same as with the solution of Bρ̂ = c, but it has differences of neighbours in place of
+At each pixel, B = GᵀJG + α·diag(b̄), and the update is ρ̂ ← ρ̂ + ω_r·B⁻¹(c − Bρ̂). It is the
+same iteration as with the solution of Bρ̂ = c. But it computes differences of neighbours instead of
 differences of large numbers, and its limit stays right where a pivot floor is active.
 
 A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
@@ -33,8 +33,8 @@ from tisfm.kernels.model.robust import repeat_shared
 from tisfm.kernels.model.small_spd import DATA_FLOOR, cholesky_solve, woodbury_solve
 
 SOLVERS = ("cholesky", "closed_form")
-RELAXATION_BAND = 32  # least rows of a band: a few rows fit in the cache, and borders are few
-MAX_SWEEPS = 64  # most sweeps in one launch, for a grid with a single band
+RELAXATION_BAND = 32  # rows: a band has at least as many, so that there are few borders
+MAX_SWEEPS = 64  # limit of the sweeps in one launch, for a grid with a single band
 
 
 def bind_sweeps(
@@ -55,10 +55,10 @@ def bind_sweeps(
     if solver not in SOLVERS:
         raise ValueError(f"solver is {solver!r}: expected one of {SOLVERS}")
     weights = arrays[1]
-    components, sets = rho.shape[0], weights.shape[0] // 2
+    components, weight_count = rho.shape[0], weights.shape[0] // 2
     closed_form, has_source = solver == "closed_form", source is not None
     system = (*arrays, rho if source is None else source, relaxation)
-    options = (components, sets, closed_form, has_source)
+    options = (components, weight_count, closed_form, has_source)
     if grid.lanes == 1:
         return repeat_launches((_sweep_sites[1].bind(*system, *options, rho), sweeps))
     return sweeps_in_bands(_sweep[grid.lanes], (*system, *options), rho, grid.height, sweeps)
@@ -108,7 +108,7 @@ def _sweep(
     source: LaneArray(3),  # (n, H+2, S+2), read if `has_source`
     relaxation: ti.f32,
     n: ti.template(),
-    sets: ti.template(),
+    weight_count: ti.template(),  # weights of an edge: n, or 1
     closed_form: ti.template(),
     has_source: ti.template(),
     is_single: ti.template(),
@@ -131,7 +131,7 @@ def _sweep(
         if task % chunk == 0:
             alphas = ti.static([bind(alpha[k]) for k in range(n)])
             stride = rho.shape[2] & INDEX_MASK
-            starts = ti.static(component_starts(rho, max(6, 2 * sets)))
+            starts = ti.static(component_starts(rho, max(6, 2 * weight_count)))
             band = task // chunk
             first, last = first_row(band, height, bands), first_row(band + 1, height, bands)
             first_black = ti.select(band > 0, first + 1, first)
@@ -147,7 +147,7 @@ def _sweep(
                         s = 2 * pair + (row + color) % 2 + 1
                         relax_at(
                             tensor, weights, x_hat, y_hat, source, alphas, stride, starts,
-                            relaxation, n, sets, closed_form, has_source, rho, row + 1, s,
+                            relaxation, n, weight_count, closed_form, has_source, rho, row + 1, s,
                         )  # fmt: skip
                     for k in range(n):
                         refresh_halo(rho, k, row + 1)
@@ -157,14 +157,14 @@ def _sweep(
             if task % CHUNK == 0:
                 alphas = ti.static([bind(alpha[k]) for k in range(n)])
                 stride = rho.shape[2] & INDEX_MASK
-                starts = ti.static(component_starts(rho, max(6, 2 * sets)))
+                starts = ti.static(component_starts(rho, max(6, 2 * weight_count)))
                 border = task // CHUNK
                 row = first_row(border // 2 + 1, height, bands) - 1 + border % 2
                 for pair in range(pairs):
                     s = 2 * pair + (row + 1) % 2 + 1
                     relax_at(
                         tensor, weights, x_hat, y_hat, source, alphas, stride, starts,
-                        relaxation, n, sets, closed_form, has_source, rho, row + 1, s,
+                        relaxation, n, weight_count, closed_form, has_source, rho, row + 1, s,
                     )  # fmt: skip
                 for k in range(n):
                     refresh_halo(rho, k, row + 1)
@@ -180,7 +180,7 @@ def _sweep_sites(
     source: LaneArray(3),  # (n, H+2, S+2), read if `has_source`
     relaxation: ti.f32,
     n: ti.template(),
-    sets: ti.template(),
+    weight_count: ti.template(),  # weights of an edge: n, or 1
     closed_form: ti.template(),
     has_source: ti.template(),
     rho: LaneArray(3),  # (n, H+2, S+2), in place
@@ -193,10 +193,10 @@ def _sweep_sites(
             s = 2 * pair + (row + color) % 2 + 1
             alphas = ti.static([bind(alpha[k]) for k in range(n)])
             stride = rho.shape[2] & INDEX_MASK
-            starts = ti.static(component_starts(rho, max(6, 2 * sets)))
+            starts = ti.static(component_starts(rho, max(6, 2 * weight_count)))
             relax_at(
                 tensor, weights, x_hat, y_hat, source, alphas, stride, starts,
-                relaxation, n, sets, closed_form, has_source, rho, row + 1, s,
+                relaxation, n, weight_count, closed_form, has_source, rho, row + 1, s,
             )  # fmt: skip
 
 
@@ -204,14 +204,14 @@ def _sweep_sites(
 def relax_at(
     tensor: ti.template(), weights: ti.template(), x_hat: ti.template(), y_hat: ti.template(),
     source: ti.template(), alphas: ti.template(), stride, starts: ti.template(), relaxation,
-    n: ti.template(), sets: ti.template(), closed_form: ti.template(), has_source: ti.template(),
-    rho: ti.template(), y, s,
+    n: ti.template(), weight_count: ti.template(), closed_form: ti.template(),
+    has_source: ti.template(), rho: ti.template(), y, s,
 ):  # fmt: skip
     """Solve one pixel (one vector of lanes) with over-relaxation."""
     i = (y * stride + s) & INDEX_MASK
     columns = ti.static(motion_columns(n, x_hat[s], y_hat[y]))
     center = ti.static([bind(element(rho, i + starts[k])) for k in range(n)])
-    edges = ti.static(edges_at(weights, starts, stride, sets, i))
+    edges = ti.static(edges_at(weights, starts, stride, weight_count, i))
     j = ti.static([bind(element(tensor, i + starts[k])) for k in range(3)])
     residual = ti.static(
         residual_at(
@@ -224,11 +224,11 @@ def relax_at(
         store(rho, i + starts[k], center[k] + relaxation * step[k])
 
 
-def edges_at(weights: Any, starts: list, stride: Any, sets: int, i: Any) -> list:
-    """Return the weights of a pixel's E, W, S and N edges, lists of `sets`, while compiling."""
+def edges_at(weights: Any, starts: list, stride: Any, weight_count: int, i: Any) -> list:
+    """Return the weights of a pixel's E, W, S and N edges, lists of `weight_count` values."""
     return [
-        [bind(element(weights, index + starts[first + k])) for k in range(sets)]
-        for first, index in ((0, i), (0, i - 1), (sets, i), (sets, i - stride))
+        [bind(element(weights, index + starts[first + k])) for k in range(weight_count)]
+        for first, index in ((0, i), (0, i - 1), (weight_count, i), (weight_count, i - stride))
     ]
 
 
@@ -259,11 +259,11 @@ def residual_at(
     neighbours = (i + 1, i - 1, i + stride, i - stride)
     residual = []
     for k, (a, b) in enumerate(columns):
-        smooth: Any = 0.0
+        smoothness: Any = 0.0
         for side, index in zip(edges, neighbours, strict=True):
             difference = element(rho, index + starts[k]) - center[k]
-            smooth = smooth + repeat_shared(side, n)[k] * difference
-        total = alphas[k] * smooth - a * g1 - b * g2
+            smoothness = smoothness + repeat_shared(side, n)[k] * difference
+        total = alphas[k] * smoothness - a * g1 - b * g2
         if source is not None:
             total = total + element(source, i + starts[k])
         residual.append(bind(total))
@@ -274,18 +274,18 @@ def _solve(
     closed_form: bool, alphas: list, edges: list, columns: list, tensor: list, residual: list
 ) -> list:
     """Return B⁻¹ residual, generated by the chosen solver."""
-    sets = [bind(sum(sides[1:], sides[0])) for sides in zip(*edges, strict=True)]
-    totals = repeat_shared(sets, len(alphas))
+    weight_sums = [bind(sum(sides[1:], sides[0])) for sides in zip(*edges, strict=True)]
+    totals = repeat_shared(weight_sums, len(alphas))
     j11, j12, j22 = tensor
     # A pixel without an open edge has only its data. The floor shortens its steps, but the limit,
     # where the residual is zero, stays the same.
     floor = bind(DATA_FLOOR * (j11 + j22) + MIN_DIVISOR)
     if closed_form and len(alphas) > 1:  # a single unknown needs no closed form
-        if len(sets) == 1:  # one division of vectors is enough
-            softest = alphas[0]
+        if len(weight_sums) == 1:  # one division of vectors is enough
+            min_alpha = alphas[0]
             for alpha in alphas[1:]:
-                softest = ti.min(softest, alpha)
-            shared = bind(1.0 / ti.max(totals[0], floor * bind(1.0 / softest)))
+                min_alpha = ti.min(min_alpha, alpha)
+            shared = bind(1.0 / ti.max(totals[0], floor * bind(1.0 / min_alpha)))
             inverse = [bind(shared * bind(1.0 / alpha)) for alpha in alphas]
         else:
             inverse = [
@@ -293,10 +293,10 @@ def _solve(
                 for alpha, total in zip(alphas, totals, strict=True)
             ]
         return woodbury_solve(inverse, columns, tensor, residual)
-    image = [(bind(j11 * a + j12 * b), bind(j12 * a + j22 * b)) for a, b in columns]
+    tensor_columns = [(bind(j11 * a + j12 * b), bind(j12 * a + j22 * b)) for a, b in columns]
     matrix = []
     for i, (a, b) in enumerate(columns):
-        row = [a * image[j][0] + b * image[j][1] for j in range(i)]
+        row = [a * tensor_columns[j][0] + b * tensor_columns[j][1] for j in range(i)]
         diagonal = ti.max(alphas[i] * totals[i], floor)
-        matrix.append([*row, diagonal + a * image[i][0] + b * image[i][1]])
+        matrix.append([*row, diagonal + a * tensor_columns[i][0] + b * tensor_columns[i][1]])
     return cholesky_solve([[bind(entry) for entry in row] for row in matrix], residual)

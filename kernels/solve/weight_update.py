@@ -32,14 +32,15 @@ from tisfm.kernels.model import MIN_PIVOT
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
 from tisfm.kernels.model.robust import robust_data, scale_pairs, terms_of
 
-LINE = (0, 3, 5)  # J11, j1 and J_tt: the nonzero entries of a tensor along a line
-ROWS = 4  # rows of a band, which one thread processes at a time
+LINE_ENTRIES = (0, 3, 5)  # J11, j1 and J_tt: the nonzero entries of a tensor along a line
+BAND_ROWS = 4  # rows of a band, which one thread processes at a time
 
 
 @dataclass(frozen=True)
 class Sums:
     """Sums over the image."""
 
+    # Equations are numbered as in the paper that docs/method.md cites.
     energy: float  # Energy (eq. 6, 20): robust data term and α Σ g Φ_δ.
     # Half-quadratic energy (eq. 8, 21) with the weights and the tensor before the update.
     half_quadratic: float
@@ -59,9 +60,9 @@ def bind_update(
     # lane array, 3 components for each of 1 to 3 constraints: (p, q, c)
     # (`tisfm.kernels.data.constraints`)
     constraints: LaneData,
-    edges: LaneData,  # lane array, 2 components: g
+    edges: LaneData,  # lane array, 2 components: g, the image-driven factor of smoothness
     *,
-    alpha: float,  # α = λ̂β
+    alpha: float,  # α, the strength of the smoothness: λ̂β of the paper
     stiffness: np.ndarray,  # (n,) float32: s_k
     contrast: float,  # δ, px/frame; infinite for quadratic smoothness
     scales: Sequence[float],  # m_i ε² of each term; infinite for a quadratic term
@@ -95,8 +96,8 @@ def bind_update(
         weights.shape[0] // 2,
         constraints.shape[0] // 3,
         along_line,
-        grid.serial,
-        -(-grid.height // ROWS),
+        grid.is_serial,
+        -(-grid.height // BAND_ROWS),
         weights,
         tensor,
         previous,
@@ -105,10 +106,17 @@ def bind_update(
 
     def run() -> Sums:
         launch()
-        data, half_data, smooth, half_smooth, change, size = add_blocks(partial)
+        (
+            data,
+            half_data,
+            smoothness,
+            half_smoothness,
+            change,
+            size,
+        ) = add_blocks(partial)
         return Sums(
-            energy=float(data + alpha * smooth),
-            half_quadratic=float(half_data + alpha * half_smooth),
+            energy=float(data + alpha * smoothness),
+            half_quadratic=float(half_data + alpha * half_smoothness),
             change=float(np.sqrt(change)),
             size=float(np.sqrt(size)),
         )
@@ -131,10 +139,10 @@ def _update(
     inverse_scale1: ti.f32,
     scale1: ti.f32,
     n: ti.template(),
-    sets: ti.template(),
+    weight_count: ti.template(),  # weights of an edge: n, or 1
     count: ti.template(),
     along_line: ti.template(),
-    serial: ti.template(),
+    is_serial: ti.template(),
     bands: ti.i32,
     weights: LaneArray(3),  # (2n or 2, H+2, S+2), in place
     tensor: LaneArray(3),  # (6, H+2, S+2), in place
@@ -146,21 +154,21 @@ def _update(
     if ti.static(lane_count(rho) == 1):
         for index in range(height * blocks):
             stride = rho.shape[2] & INDEX_MASK
-            starts = ti.static(component_starts(rho, max(6, 3 * count, 2 * sets)))
+            starts = ti.static(component_starts(rho, max(6, 3 * count, 2 * weight_count)))
             _update_block(
                 terms, edges, x_hat, y_hat, rho, stiffness, inverse_squared_contrast,
-                squared_contrast, inverse_scale0, scale0, inverse_scale1, scale1, n, sets, count,
-                along_line, weights, tensor, previous, partial, stride, starts,
+                squared_contrast, inverse_scale0, scale0, inverse_scale1, scale1, n, weight_count,
+                count, along_line, weights, tensor, previous, partial, stride, starts,
                 index // blocks, index % blocks,
             )  # fmt: skip
     else:
-        chunk = ti.static(1 if serial else CHUNK)
-        ti.loop_config(serialize=serial)
+        chunk = ti.static(1 if is_serial else CHUNK)
+        ti.loop_config(serialize=is_serial)
         for task in range(chunk * bands):
             if task % chunk == 0:
                 band = task // chunk
                 stride = rho.shape[2] & INDEX_MASK
-                starts = ti.static(component_starts(rho, max(6, 3 * count, 2 * sets)))
+                starts = ti.static(component_starts(rho, max(6, 3 * count, 2 * weight_count)))
                 for row in range(
                     first_row(band, height, bands), first_row(band + 1, height, bands)
                 ):
@@ -168,12 +176,12 @@ def _update(
                         _update_block(
                             terms, edges, x_hat, y_hat, rho, stiffness, inverse_squared_contrast,
                             squared_contrast, inverse_scale0, scale0, inverse_scale1, scale1, n,
-                            sets, count, along_line, weights, tensor, previous, partial, stride,
-                            starts, row, block,
+                            weight_count, count, along_line, weights, tensor, previous, partial,
+                            stride, starts, row, block,
                         )  # fmt: skip
                     # The first column of a strip reads its western weight from the halo: the
                     # eastern weight of the neighbouring strip's last column.
-                    for k in range(sets):
+                    for k in range(weight_count):
                         refresh_halo(weights, k, row + 1)
 
 
@@ -181,14 +189,22 @@ def _update(
 def _update_block(
     terms: ti.template(), edges: ti.template(), x_hat: ti.template(), y_hat: ti.template(),
     rho: ti.template(), stiffness: ti.template(), inverse_squared_contrast, squared_contrast,
-    inverse_scale0, scale0, inverse_scale1, scale1, n: ti.template(), sets: ti.template(),
+    inverse_scale0, scale0, inverse_scale1, scale1, n: ti.template(), weight_count: ti.template(),
     count: ti.template(), along_line: ti.template(), weights: ti.template(), tensor: ti.template(),
     previous: ti.template(), partial: ti.template(), stride, starts: ti.template(), row, block,
 ):  # fmt: skip
     """Update one block of a row."""
     y, strip = row + 1, rho.shape[2] - 2
     zero = 0.0 * x_hat[1]
-    data, half_data, smooth, half_smooth, change, size = zero, zero, zero, zero, zero, zero
+    # Energies of data and smoothness: robust, and half-quadratic with the old weights.
+    data, half_data, smoothness, half_smoothness, change, size = (
+        zero,
+        zero,
+        zero,
+        zero,
+        zero,
+        zero,
+    )
     for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
         s = position + 1
         i = (y * stride + s) & INDEX_MASK
@@ -202,7 +218,7 @@ def _update_block(
         scales = ti.static([(inverse_scale0, scale0), (inverse_scale1, scale1)])
         energy, sums = ti.static(robust_data(terms_of(lines), scales, u, v))
         data += energy
-        for k in ti.static(LINE if along_line else range(6)):
+        for k in ti.static(LINE_ENTRIES if along_line else range(6)):
             store(tensor, i + starts[k], sums[k])
         for side in ti.static(range(2)):  # east, south
             g = load(edges, i + starts[side])
@@ -211,17 +227,17 @@ def _update_block(
                 [bind(element(rho, neighbour + starts[k]) - center[k]) for k in range(n)]
             )
             squares = ti.static([bind(stiffness[k] * steps[k] * steps[k]) for k in range(n)])
-            lengths = ti.static(squares if sets == n else [_sum(squares)])
-            for k in ti.static(range(sets)):
-                index = i + starts[sets * side + k]
+            lengths = ti.static(squares if weight_count == n else [_sum(squares)])
+            for k in ti.static(range(weight_count)):
+                index = i + starts[weight_count * side + k]
                 square, old_weight = lengths[k], load(weights, index)
                 root = ti.sqrt(1.0 + inverse_squared_contrast * square)
                 factor = g / (root * (1.0 + root))  # one division, as slow as many products
-                smooth += 2.0 * square * (root * factor)  # g Φ_δ
-                # g [bΔ² + δ²(b + 1/b − 2)], b + 1/b − 2 = (1 − b)²/b, for b = before/g.
+                smoothness += 2.0 * square * (root * factor)  # g Φ_δ
+                # g [bΔ² + δ²(b + 1/b − 2)], b + 1/b − 2 = (1 − b)²/b, for b = old_weight/g.
                 difference = g - old_weight
-                half_smooth += old_weight * square
-                half_smooth += (
+                half_smoothness += old_weight * square
+                half_smoothness += (
                     squared_contrast * difference * difference / ti.max(old_weight, MIN_PIVOT)
                 )
                 store(weights, index, factor * (1.0 + root))  # g b
@@ -231,7 +247,18 @@ def _update_block(
             change += step * step
             size += center[k] * center[k]
             store(previous, index, center[k])
-    for term, value in ti.static(enumerate((data, half_data, smooth, half_smooth, change, size))):
+    for term, value in ti.static(
+        enumerate(
+            (
+                data,
+                half_data,
+                smoothness,
+                half_smoothness,
+                change,
+                size,
+            )
+        )
+    ):
         store_sum(partial, row, block, term, value, ti.static(lane_count(rho)))
 
 

@@ -21,74 +21,74 @@ def buffers():
 
 
 def test_memory_is_used_again(buffers):
-    array = buffers.floats(COUNT)
+    array = buffers.allocate_floats(COUNT)
     assert array.dtype == np.float32 and array.shape == (COUNT,) and array.flags.writeable
     first = address(array)
-    assert first % ALIGNMENT == 0 and buffers.unused == 0
+    assert first % ALIGNMENT == 0 and buffers.unused_bytes == 0
     del array
-    assert buffers.unused >= 4 * COUNT
-    again = buffers.floats(COUNT)
-    assert address(again) == first and buffers.unused == 0
+    assert buffers.unused_bytes >= 4 * COUNT
+    again = buffers.allocate_floats(COUNT)
+    assert address(again) == first and buffers.unused_bytes == 0
 
 
 def test_buffers_of_another_size_are_not_reused(buffers):
-    array = buffers.floats(COUNT)
+    array = buffers.allocate_floats(COUNT)
     first = address(array)
     del array
-    assert address(buffers.floats(COUNT - 64)) != first
-    assert address(buffers.floats(COUNT)) == first
+    assert address(buffers.allocate_floats(COUNT - 64)) != first
+    assert address(buffers.allocate_floats(COUNT)) == first
 
 
 def test_a_view_keeps_its_memory(buffers):
-    array = buffers.floats(COUNT)
+    array = buffers.allocate_floats(COUNT)
     first = address(array)
     view = array.reshape(4, -1)[1:, ::2].T.view()
     del array
     gc.collect()
-    assert buffers.unused == 0
-    other = buffers.floats(COUNT)
+    assert buffers.unused_bytes == 0
+    other = buffers.allocate_floats(COUNT)
     assert address(other) != first
     view[...] = 7
     del view
-    assert address(buffers.floats(COUNT)) == first
+    assert address(buffers.allocate_floats(COUNT)) == first
 
 
 def test_two_users_share_nothing(buffers):
     for _ in range(3):
-        arrays = [buffers.floats(COUNT) for _ in range(3)]
+        arrays = [buffers.allocate_floats(COUNT) for _ in range(3)]
         for value, array in enumerate(arrays):
             array[:] = value
         assert [set(array) for array in arrays] == [{0.0}, {1.0}, {2.0}]
         del array, arrays
-    assert 12 * COUNT <= buffers.unused < 16 * COUNT
+    assert 12 * COUNT <= buffers.unused_bytes < 16 * COUNT
 
 
 def test_no_more_is_kept_than_allowed():
-    buffers = Buffers(max_unused=9 * COUNT)
-    arrays = [buffers.floats(COUNT) for _ in range(4)]
+    buffers = Buffers(max_unused_bytes=9 * COUNT)
+    arrays = [buffers.allocate_floats(COUNT) for _ in range(4)]
     del arrays
-    assert 8 * COUNT <= buffers.unused <= 9 * COUNT
-    array = buffers.floats(COUNT // 2)
+    assert 8 * COUNT <= buffers.unused_bytes <= 9 * COUNT
+    array = buffers.allocate_floats(COUNT // 2)
     del array  # the last to be given back is the last to be let go
-    assert 6 * COUNT <= buffers.unused < 7 * COUNT
+    assert 6 * COUNT <= buffers.unused_bytes < 7 * COUNT
     buffers.release()
-    assert buffers.unused == 0
+    assert buffers.unused_bytes == 0
 
 
 def test_a_large_array_releases_the_kept_memory(buffers):
     """For large frames, memory counts more than the time to get it again."""
-    array = buffers.floats(COUNT)
+    array = buffers.allocate_floats(COUNT)
     del array
-    assert buffers.unused
-    buffers.floats(MAX_REUSED_BYTES // 4)
-    assert buffers.unused == 0
+    assert buffers.unused_bytes
+    buffers.allocate_floats(MAX_REUSED_BYTES // 4)
+    assert buffers.unused_bytes == 0
 
 
 def test_small_arrays_are_not_kept(buffers):
-    array = buffers.floats(8)
+    array = buffers.allocate_floats(8)
     assert address(array) % ALIGNMENT == 0
     del array
-    assert buffers.unused == 0
+    assert buffers.unused_bytes == 0
 
 
 def test_threads_take_different_memory(buffers):
@@ -96,7 +96,7 @@ def test_threads_take_different_memory(buffers):
 
     def use(value):
         for _ in range(300):
-            array = buffers.floats(COUNT // 4 + 16)
+            array = buffers.allocate_floats(COUNT // 4 + 16)
             array[:] = value
             if not (array == value).all():
                 wrong.append(value)
@@ -134,7 +134,7 @@ def test_pairs_of_a_sequence_share_memory():
     kept = []
     for _ in range(4):
         tisfm.interpret(*frames)
-        kept.append(buffers.unused)
+        kept.append(buffers.unused_bytes)
     assert kept[-1] == kept[-2] and 0 < max(kept) < 4 * 150 * frames[0].size
     np.testing.assert_array_equal(first.rho, second.rho)
     np.testing.assert_array_equal(first.confidence, second.confidence)

@@ -47,7 +47,7 @@ def test_warp(size, lanes, make_problem):
     out = problem.from_lanes(in_lanes[:, 3:-3, 3:-3])[0]
     expected, expected_mask = reference.warp(image, flow.astype(np.float64))
     np.testing.assert_array_equal(problem.from_lanes(mask)[0], expected_mask)
-    inner = grid.inside()[0, 1:-1, 1:-1] > 0
+    inner = grid.image_mask()[0, 1:-1, 1:-1] > 0
     assert not mask[0, 1:-1, 1:-1][~inner].any()
     # A float32 position is off by up to 2⁻²³ of the width, times the steepest slope of a spline
     # through noise, 3 · 255 a pixel.
@@ -298,7 +298,7 @@ def test_constraints_of_both_neighbours(size, lanes, count, make_problem):
         products[5] += scale * (1 / root + root - 2)
         expected += products
     close(problem.from_lanes(tensor), expected, scale=100)
-    inner = grid.inside()[0, 1:-1, 1:-1] > 0
+    inner = grid.image_mask()[0, 1:-1, 1:-1] > 0
     assert not tensor[:, 1:-1, 1:-1][:, ~inner].any()
 
 

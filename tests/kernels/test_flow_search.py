@@ -63,7 +63,7 @@ def test_a_shift_is_found_and_no_cost_rises():
     search.score(state, min_variance=1.8)
     for turn in range(6):
         before = state[..., 2].copy()
-        search.improve(state, reach=5, draws=7, spans=(16.0, 0.5), seed=turn)
+        search.improve(state, neighbour_distance=5, draws=7, spans=(16.0, 0.5), seed=turn)
         assert (state[..., 2] <= before).all()
     costs = state.copy()
     search.score(costs, min_variance=1.8)
@@ -78,7 +78,7 @@ def test_the_same_answer_twice_and_another_for_another_seed():
     for seed in (0, 0, 1):
         search, state = search_in(frame0, frame1), drawn((31, 45))
         search.score(state, min_variance=1.8)
-        search.improve(state, reach=5, draws=3, spans=(8.0, 1.0), seed=seed)
+        search.improve(state, neighbour_distance=5, draws=3, spans=(8.0, 1.0), seed=seed)
         found.append(state)
     np.testing.assert_array_equal(found[0], found[1])
     assert (found[0] != found[2]).any()
@@ -92,7 +92,7 @@ def test_other_pixels_keep_their_flow():
     before = state.copy()
     search = search_in(frame0, frame1)
     search.score(state, min_variance=1.8)
-    search.improve(state, reach=5, draws=3, spans=(8.0, 1.0), seed=0)
+    search.improve(state, neighbour_distance=5, draws=3, spans=(8.0, 1.0), seed=0)
     np.testing.assert_array_equal(state[:, 20:], before[:, 20:])
     assert (state[:, :20, 2] < 9).all()
 
@@ -160,7 +160,7 @@ def test_errors_name_the_argument():
     search = search_in(frame, frame)
     with pytest.raises(ValueError, match="state"):
         search.score(np.zeros((9, 11, 3), np.float32), min_variance=1.8)
-    with pytest.raises(ValueError, match="reach is 4"):
-        search.improve(drawn((9, 11)), reach=4, draws=1, spans=(1.0, 1.0), seed=0)
+    with pytest.raises(ValueError, match="neighbour_distance is 4"):
+        search.improve(drawn((9, 11)), neighbour_distance=4, draws=1, spans=(1.0, 1.0), seed=0)
     with pytest.raises(ValueError, match="edge is 0"):
         propagate_flow(frame, frame.copy(), drawn((9, 11)), edge=0)

@@ -54,7 +54,7 @@ def test_score_is_the_mean_of_the_best_frames(size, best):
     ]
     assert (off < 1e-3).mean() > 0.98
     each = np.empty((len(others), *size), np.float32)
-    search.costs(planes, each)
+    search.write_costs(planes, each)
     assert (np.abs(each - expected) < 1e-3).mean() > 0.98
 
 
@@ -66,7 +66,7 @@ def test_the_cost_of_a_cell_is_that_of_its_first_pixel(stride):
     assert search.shape == (size[0] // stride, size[1] // stride)
     planes = drawn(search.shape, largest=6.0)
     each = np.empty((len(others), *search.shape), np.float32)
-    search.costs(planes, each)
+    search.write_costs(planes, each)
     depth, east, south = np.moveaxis(planes, -1, 0)[:3]
     east, south = east / stride, south / stride
     first = depth - (stride - 1) / 2 * (east + south)

@@ -112,9 +112,9 @@ def _find_near_blocks(view: PosedDepth, farthest: float, voxel: float, truncatio
 
     Pixels are sampled densely enough for the smallest block in the image.
     """
-    from tisfm.kernels.fusion.distance_field import CORNERS, EDGE, find_blocks
+    from tisfm.kernels.fusion.distance_field import BLOCK_EDGE, CORNERS, find_blocks
 
-    edge = EDGE * voxel
+    edge = BLOCK_EDGE * voxel
     low, high = _bounds(view, farthest + truncation, 2 * voxel)
     first = np.floor(low / edge)
     extent = np.floor(high / edge) - first + 1
@@ -129,7 +129,7 @@ def _find_near_blocks(view: PosedDepth, farthest: float, voxel: float, truncatio
     across = edge * view.intrinsics[0, 0] / farthest
     step = int(np.clip(across / _SAMPLES_PER_BLOCK, 1, _MAX_PIXEL_STEP))
     rays = view.to_world / voxel
-    rays[:, 3] -= first * EDGE
+    rays[:, 3] -= first * BLOCK_EDGE
     height, width = view.inverse_depth.shape
     numbers_of_rows = []
     for top in range(0, height, _BAND_ROWS * step):
@@ -173,12 +173,14 @@ def _integrate(
     count: NDArray[np.int32],
 ) -> None:
     """Integrate a view into the arrays of the field, which are modified in place."""
-    from tisfm.kernels.fusion.distance_field import EDGE, integrate
+    from tisfm.kernels.fusion.distance_field import BLOCK_EDGE, integrate
 
     to_pixels = view.to_pixels
-    corners = block_coordinates(numbers) * (EDGE * voxel) @ to_pixels[:, :3].T + to_pixels[:, 3]
+    corners = (
+        block_coordinates(numbers) * (BLOCK_EDGE * voxel) @ to_pixels[:, :3].T + to_pixels[:, 3]
+    )
     steps = np.ascontiguousarray(voxel * to_pixels[:, :3].T)
-    index = np.flatnonzero(_in_frustum(view, corners, steps * (EDGE - 1), truncation))
+    index = np.flatnonzero(_in_frustum(view, corners, steps * (BLOCK_EDGE - 1), truncation))
     integrate(
         view.inverse_depth,
         view.deviation,

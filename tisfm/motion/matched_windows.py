@@ -210,7 +210,7 @@ def _search_levels(
                 spans = PROPOSALS.max_wide_span * max(windows.shape), PROPOSALS.min_wide_span
             search.improve(
                 state,
-                reach=PROPOSALS.neighbour_distance,
+                neighbour_distance=PROPOSALS.neighbour_distance,
                 draws=draws,
                 spans=(spans[0], spans[1]),
                 seed=(seed * len(levels) + k) * max(PROPOSALS.rounds) + round_number,

@@ -209,7 +209,7 @@ def _apply_step(
 
 def _valid_pixels(unknowns: Unknowns, valid: np.ndarray | None) -> np.ndarray:
     """Return 1 on the pixels of the image that count, else 0, as a lane array on the host."""
-    inside = unknowns.grid.inside()
+    inside = unknowns.grid.image_mask()
     if valid is None:
         return inside
     weight = unknowns.grid.allocate(1)

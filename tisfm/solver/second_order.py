@@ -233,7 +233,7 @@ def anchors_in_lanes(grid: LaneGrid, anchors: np.ndarray) -> LaneData:
     out = grid.allocate(2)
     for component, values in enumerate(anchors):
         image_to_lanes(grid, np.ascontiguousarray(values), out, component=component)
-    multiply(grid, grid.place(grid.inside()), out)
+    multiply(grid, grid.place(grid.image_mask()), out)
     return out
 
 

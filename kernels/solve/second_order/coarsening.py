@@ -58,7 +58,7 @@ def coarsen_system(
     check_halved(grid, coarse_tensor, COMPONENTS, "coarse_tensor")
     check_halved(grid, coarse_weights, WEIGHTS, "coarse_weights")
     return _coarsen_system[grid.lanes].bind(
-        *arrays, grid.height, grid.serial, coarse_tensor, coarse_weights
+        *arrays, grid.height, grid.is_serial, coarse_tensor, coarse_weights
     )
 
 
@@ -67,12 +67,12 @@ def _coarsen_system(
     tensor: LaneArray(3),  # (3, H+2, S+2)
     weights: LaneArray(3),  # (6, H+2, S+2)
     height: ti.i32,
-    serial: ti.template(),
+    is_serial: ti.template(),
     coarse_tensor: LaneArray(3),  # (3, h+2, S/2+2)
     coarse_weights: LaneArray(3),  # (6, h+2, S/2+2)
 ):
     rows, strip = coarse_tensor.shape[1] - 2, coarse_tensor.shape[2] - 2
-    ti.loop_config(serialize=serial)
+    ti.loop_config(serialize=is_serial)
     for row, position in ti.ndrange(rows, strip):
         y, s = 2 * row + 1, 2 * position + 1
         below = ti.min(y + 1, height + 1)  # below an odd last row: the halo, which is zero
@@ -86,7 +86,7 @@ def _coarsen_system(
             south = weights[2 * kind + 1, below, s] + weights[2 * kind + 1, below, s + 1]
             coarse_weights[2 * kind, row + 1, position + 1] = 0.5 * east
             coarse_weights[2 * kind + 1, row + 1, position + 1] = 0.5 * south
-    ti.loop_config(serialize=serial)
+    ti.loop_config(serialize=is_serial)
     for kind, row in ti.ndrange(3, rows):
         refresh_halo(coarse_weights, 2 * kind, row + 1)
 
@@ -128,7 +128,7 @@ def restrict_residual(
     half_h, spread, *_ = scalars
     return _restrict_residual[grid.lanes].bind(
         *arrays, half_h, spread, offsets, rho if source is None else source, rho, grid.height,
-        source is not None, grid.serial, out,
+        source is not None, grid.is_serial, out,
     )  # fmt: skip
 
 
@@ -143,18 +143,19 @@ def _restrict_residual(
     rho: LaneArray(3),  # (3, H+2, S+2)
     height: ti.i32,
     has_source: ti.template(),
-    serial: ti.template(),
+    is_serial: ti.template(),
     out: LaneArray(3),  # (3, h+2, S/2+2)
 ):
     rows, strip = out.shape[1] - 2, out.shape[2] - 2
-    ti.loop_config(serialize=serial)
+    ti.loop_config(serialize=is_serial)
     for row, position in ti.ndrange(rows, strip):
         stride = rho.shape[2] & INDEX_MASK
         starts = ti.static(component_starts(rho, WEIGHTS))
         depth, east, south = 0.0 * offsets[1], 0.0 * offsets[1], 0.0 * offsets[1]
-        pair = ti.cast(2 * row + 1 < height, ti.f32)  # 0: an only child, at its parent's centre
+        # 0 for an only child, which lies at its parent's centre
+        has_sibling = ti.cast(2 * row + 1 < height, ti.f32)
         for y in range(2 * row + 1, ti.min(2 * row + 2, height) + 1):
-            down = pair * (ti.cast(y - 2 * row, ti.f32) - 1.5)
+            down = has_sibling * (ti.cast(y - 2 * row, ti.f32) - 1.5)
             for side in ti.static(range(2)):
                 s = 2 * position + 1 + side
                 i = (y * stride + s) & INDEX_MASK
@@ -181,8 +182,8 @@ def add_correction(
     # halved array, 3 components: its halo columns must be valid; it is not read beyond the border
     # of the image
     coarse: LaneData,
-    # column tables of 3: results of `tisfm.kernels.solve.coarsening.interpolation_columns`, and
-    # `outer` of `offset_columns`
+    # the two tables of `tisfm.kernels.solve.coarsening.interpolation_columns`, and the second table
+    # of `offset_columns`
     column_weights: tuple[LaneData, LaneData, LaneData],
     rho: LaneData,  # lane array, 3 components
     *,
@@ -197,7 +198,7 @@ def add_correction(
     for table in column_weights:
         grid.check_columns(table, "column_weights")
     return _add_correction[grid.lanes].bind(
-        coarse, *column_weights, grid.height, spacing, grid.serial, rho
+        coarse, *column_weights, grid.height, spacing, grid.is_serial, rho
     )
 
 
@@ -206,14 +207,14 @@ def _add_correction(
     coarse: LaneArray(3),  # (3, h+2, S/2+2)
     parent_weight: LaneArray(1),  # (S+2,)
     neighbour_weight: LaneArray(1),  # (S+2,)
-    outer: LaneArray(1),  # (S+2,)
+    outer_offset: LaneArray(1),  # (S+2,)
     height: ti.i32,
     spacing: ti.f32,
-    serial: ti.template(),
+    is_serial: ti.template(),
     rho: LaneArray(3),  # (3, H+2, S+2), in place
 ):
     rows, strip = coarse.shape[1] - 2, coarse.shape[2] - 2
-    ti.loop_config(serialize=serial)
+    ti.loop_config(serialize=is_serial)
     for row, position in ti.ndrange(height, strip):
         stride = coarse.shape[2] & INDEX_MASK
         starts = ti.static(component_starts(coarse, COMPONENTS))
@@ -227,22 +228,24 @@ def _add_correction(
         for side in ti.static(range(2)):  # both children of a row
             s, parent = 2 * position + 1 + side, position + 1
             neighbour = parent - 1 + 2 * side
-            tables = ti.static([bind(parent_weight[s]), bind(neighbour_weight[s]), bind(outer[s])])
+            tables = ti.static(
+                [bind(parent_weight[s]), bind(neighbour_weight[s]), bind(outer_offset[s])]
+            )
             first, second = (
                 (y * stride + parent) & INDEX_MASK,
                 (y * stride + neighbour) & INDEX_MASK,
             )
-            own_row = ti.static(_row_at(coarse, starts, first, second, tables, side, spacing))
+            parent_row = ti.static(_row_at(coarse, starts, first, second, tables, side, spacing))
             third = (next_row * stride + parent) & INDEX_MASK
             fourth = (next_row * stride + neighbour) & INDEX_MASK
-            other_row = ti.static(_row_at(coarse, starts, third, fourth, tables, side, spacing))
+            neighbour_row = ti.static(_row_at(coarse, starts, third, fourth, tables, side, spacing))
             for k in ti.static(range(COMPONENTS)):
-                change = 0.75 * own_row[k] + 0.25 * other_row[k]
+                change = 0.75 * parent_row[k] + 0.25 * neighbour_row[k]
                 if ti.static(k == 0):
-                    change += spacing * (extrapolation * own_row[2])
-                    change += (0.1875 * spacing * direction) * (own_row[2] - other_row[2])
+                    change += spacing * (extrapolation * parent_row[2])
+                    change += (0.1875 * spacing * direction) * (parent_row[2] - neighbour_row[2])
                 rho[k, row + 1, s] = rho[k, row + 1, s] + change
-    ti.loop_config(serialize=serial)
+    ti.loop_config(serialize=is_serial)
     for k, row in ti.ndrange(COMPONENTS, height):
         refresh_halo(rho, k, row + 1)
 
@@ -254,15 +257,16 @@ def _row_at(
 
     `first` and `second` are the indices for `element` of the parent and of its neighbour.
     """
-    parent_weight, neighbour_weight, outer = tables
-    own = [bind(element(coarse, first + starts[k])) for k in range(COMPONENTS)]
-    other = [bind(element(coarse, second + starts[k])) for k in range(COMPONENTS)]
+    parent_weight, neighbour_weight, outer_offset = tables
+    parent = [bind(element(coarse, first + starts[k])) for k in range(COMPONENTS)]
+    neighbour = [bind(element(coarse, second + starts[k])) for k in range(COMPONENTS)]
     depth, *slopes = (
-        parent_weight * a + neighbour_weight * b for a, b in zip(own, other, strict=True)
+        parent_weight * a + neighbour_weight * b for a, b in zip(parent, neighbour, strict=True)
     )
     direction = 2.0 * side - 1.0
     # 3/16 of h Δv if there is a neighbour: its weight `neighbour_weight` is ¼, else 0.
     depth = depth + spacing * (
-        outer * own[1] + (0.75 * direction) * neighbour_weight * (own[1] - other[1])
+        outer_offset * parent[1]
+        + (0.75 * direction) * neighbour_weight * (parent[1] - neighbour[1])
     )
     return [bind(depth), *(bind(slope) for slope in slopes)]

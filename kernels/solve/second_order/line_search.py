@@ -49,7 +49,7 @@ def bind_plane_energy(
     """
     partial = block_sums(grid, SUM_COUNT)
     launch = _plane_energy[grid.lanes].bind(
-        *arrays, half_h, correction, previous, step, grid.serial, partial
+        *arrays, half_h, correction, previous, step, grid.is_serial, partial
     )
 
     def run() -> tuple[np.ndarray, np.ndarray]:
@@ -67,12 +67,12 @@ def _plane_energy(
     correction: LaneArray(3),  # (3, H+2, S+2)
     previous: LaneArray(3),  # (3, H+2, S+2)
     step: LaneArray(3),  # (3, H+2, S+2)
-    serial: ti.template(),
+    is_serial: ti.template(),
     partial: SumArray(3),  # (H, blocks, 7)
 ):
     height, strip = previous.shape[1] - 2, previous.shape[2] - 2
     blocks = partial.shape[1]
-    ti.loop_config(serialize=serial)
+    ti.loop_config(serialize=is_serial)
     for index in range(height * blocks):
         row, block = index // blocks, index % blocks
         stride = previous.shape[2] & INDEX_MASK
@@ -81,32 +81,41 @@ def _plane_energy(
         for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
             i = ((row + 1) * stride + position + 1) & INDEX_MASK
             a, b = load(tensor, i), load(tensor, i + starts[1])
-            old_depth, new_depth, last_depth = load(previous, i), load(correction, i), load(step, i)
-            slope, size = a * old_depth + b, size_of(a * old_depth) + size_of(b)
-            sums[0] += a * new_depth * new_depth
-            sums[1] += a * new_depth * last_depth
-            sums[2] += a * last_depth * last_depth
-            sums[3] += slope * new_depth
-            sums[4] += slope * last_depth
-            sums[5] += size * size_of(new_depth)
-            sums[6] += size * size_of(last_depth)
+            previous_depth, correction_depth, step_depth = (
+                load(previous, i),
+                load(correction, i),
+                load(step, i),
+            )
+            slope, size = a * previous_depth + b, size_of(a * previous_depth) + size_of(b)
+            sums[0] += a * correction_depth * correction_depth
+            sums[1] += a * correction_depth * step_depth
+            sums[2] += a * step_depth * step_depth
+            sums[3] += slope * correction_depth
+            sums[4] += slope * step_depth
+            sums[5] += size * size_of(correction_depth)
+            sums[6] += size * size_of(step_depth)
             for side in ti.static(range(2)):  # east, south
                 neighbour = i + 1 + side * (stride - 1)
-                old_changes = ti.static(_differences(previous, starts, i, neighbour, side, half_h))
-                new_changes = ti.static(
+                previous_differences = ti.static(
+                    _differences(previous, starts, i, neighbour, side, half_h)
+                )
+                correction_differences = ti.static(
                     _differences(correction, starts, i, neighbour, side, half_h)
                 )
-                last_changes = ti.static(_differences(step, starts, i, neighbour, side, half_h))
+                step_differences = ti.static(_differences(step, starts, i, neighbour, side, half_h))
                 for term, kind in ti.static(enumerate((0, 1, 1, 2))):
                     weight = load(weights, i + starts[2 * kind + side])
-                    change, rest = weight * new_changes[term], weight * last_changes[term]
-                    sums[0] += change * new_changes[term]
-                    sums[1] += change * last_changes[term]
-                    sums[2] += rest * last_changes[term]
-                    sums[3] += change * old_changes[term]
-                    sums[4] += rest * old_changes[term]
-                    sums[5] += size_of(change) * size_of(old_changes[term])
-                    sums[6] += size_of(rest) * size_of(old_changes[term])
+                    weighted_correction, weighted_step = (
+                        weight * correction_differences[term],
+                        weight * step_differences[term],
+                    )
+                    sums[0] += weighted_correction * correction_differences[term]
+                    sums[1] += weighted_correction * step_differences[term]
+                    sums[2] += weighted_step * step_differences[term]
+                    sums[3] += weighted_correction * previous_differences[term]
+                    sums[4] += weighted_step * previous_differences[term]
+                    sums[5] += size_of(weighted_correction) * size_of(previous_differences[term])
+                    sums[6] += size_of(weighted_step) * size_of(previous_differences[term])
         for term in ti.static(range(SUM_COUNT)):
             store_sum(partial, row, block, term, sums[term], ti.static(lane_count(previous)))
 

@@ -31,11 +31,15 @@ def stiffness_at(tensor: Any, edges: list, starts: list, i: Any, half_h: Any, sp
     The data of a coarse pixel lie away from its centre, so they determine the slope with the
     precision A times the variance `spread`. The stiffness including the part of r is at least that.
     """
-    first, second, _ = edges
-    total = bind(second[0] + second[1] + second[2] + second[3])
-    data = bind(spread * element(tensor, i + starts[0]))
+    a_weights, b_weights, _ = edges
+    b_sum = bind(b_weights[0] + b_weights[1] + b_weights[2] + b_weights[3])
+    data_precision = bind(spread * element(tensor, i + starts[0]))
     return [
-        bind(ti.max(total, data - half_h * half_h * (first[side] + first[side + 1])))
+        bind(
+            ti.max(
+                b_sum, data_precision - half_h * half_h * (a_weights[side] + a_weights[side + 1])
+            )
+        )
         for side in (0, 2)
     ]
 
@@ -58,7 +62,7 @@ def residual_at(
     (−B, 0, 0), with B from the tensor.
     """
     depth, *slopes = center
-    first, second, third = edges
+    a_weights, b_weights, c_weights = edges
     neighbours = (i + 1, i - 1, i + stride, i - stride)
     steps = [bind(element(rho, index + starts[0]) - depth) for index in neighbours]
     depth_residual = 0.0 - element(tensor, i + starts[0]) * depth
@@ -66,7 +70,7 @@ def residual_at(
         depth_residual = depth_residual - element(tensor, i + starts[1])
     else:
         depth_residual = depth_residual + element(source, i + starts[0])
-    for weight, step in zip(third, steps, strict=True):
+    for weight, step in zip(c_weights, steps, strict=True):
         depth_residual = depth_residual + weight * step
     neighbour_slopes = [
         [bind(element(rho, index + starts[1 + k])) for index in neighbours] for k in range(2)
@@ -75,17 +79,17 @@ def residual_at(
     for k, slope in enumerate(slopes):
         ahead, behind = 2 * k, 2 * k + 1
         forward = bind(
-            first[ahead] * (steps[ahead] - half_h * (slope + neighbour_slopes[k][ahead]))
+            a_weights[ahead] * (steps[ahead] - half_h * (slope + neighbour_slopes[k][ahead]))
         )
         backward = bind(
-            first[behind] * (steps[behind] + half_h * (slope + neighbour_slopes[k][behind]))
+            a_weights[behind] * (steps[behind] + half_h * (slope + neighbour_slopes[k][behind]))
         )
         depth_residual = depth_residual + forward + backward
         slope_residual = half_h * (forward - backward)
-        for weight, other in zip(second, neighbour_slopes[k], strict=True):
+        for weight, other in zip(b_weights, neighbour_slopes[k], strict=True):
             slope_residual = slope_residual + weight * (other - slope)
-        b = bind(second[0] + second[1] + second[2] + second[3])
-        slope_residual = slope_residual - (stiffness[k] - b) * slope
+        b_sum = bind(b_weights[0] + b_weights[1] + b_weights[2] + b_weights[3])
+        slope_residual = slope_residual - (stiffness[k] - b_sum) * slope
         if source is not None:
             slope_residual = slope_residual + element(source, i + starts[1 + k])
         residual.append(bind(slope_residual))
@@ -107,12 +111,19 @@ def solve_at(
     sum of positive numbers, so no digits cancel. `floors` are added to the pivots of D and of v,
     whose terms may all be zero.
     """
-    first, _, third = edges
-    pivot = element(tensor, i + starts[0]) + third[0] + third[1] + third[2] + third[3] + floors[0]
+    a_weights, _, c_weights = edges
+    pivot = (
+        element(tensor, i + starts[0])
+        + c_weights[0]
+        + c_weights[1]
+        + c_weights[2]
+        + c_weights[3]
+        + floors[0]
+    )
     right = residual[0]
     inverses, couplings = [], []
     for k in range(2):
-        ahead, behind = first[2 * k], first[2 * k + 1]
+        ahead, behind = a_weights[2 * k], a_weights[2 * k + 1]
         weight_sum = bind(ahead + behind)
         slope_stiffness = bind(stiffness[k] + floors[1])
         inverse = bind(1.0 / (half_h * half_h * weight_sum + slope_stiffness))

@@ -21,7 +21,9 @@ from tisfm.kernels.solve.second_order.stencil import COMPONENTS, WEIGHTS
 from tisfm.kernels.solve.second_order.weight_update import bind_update
 from tisfm.kernels.solve.weight_update import Sums
 
-FLOOR = 1e-6  # share of α and β added to pivots, for pixels without data and without neighbours
+PIVOT_FLOOR = (
+    1e-6  # share of α and β added to pivots, for pixels without data and without neighbours
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,11 +68,11 @@ class SecondOrderSystem:
     @cached_property
     def scalars(self) -> tuple[float, float, float, float]:
         """h/2, the spread of the data, and the floors of the pivots of D and of the slopes."""
-        slope_floor = FLOOR * (self.beta + self.spacing**2 * self.alpha)
+        slope_floor = PIVOT_FLOOR * (self.beta + self.spacing**2 * self.alpha)
         return (
             self.spacing / 2,
             self.spread,
-            FLOOR * self.alpha + MIN_DIVISOR,
+            PIVOT_FLOOR * self.alpha + MIN_DIVISOR,
             slope_floor + MIN_DIVISOR,
         )
 
@@ -119,11 +121,12 @@ class SecondOrderSystem:
             raise ValueError(f"contrasts is {tuple(contrasts)}: expected 3 positive values")
         if not anchor_scale > 0:
             raise ValueError(f"anchor_scale is {anchor_scale}: expected a positive value, in px")
-        first, second, third = contrasts
+        slope_contrast, crease_contrast, jump_contrast = contrasts
         return bind_update(
             self.grid, self.arrays, rho, previous, anchors, edges, constraints,
             half_h=self.spacing / 2, stiffness=(self.alpha, self.beta, self.gamma),
-            contrasts=(first, second, third), anchor_scale=anchor_scale, scales=scales,
+            contrasts=(slope_contrast, crease_contrast, jump_contrast), anchor_scale=anchor_scale,
+            scales=scales,
         )  # fmt: skip
 
     def bind_restrict(
@@ -163,12 +166,14 @@ class SecondOrderSystem:
     ) -> Callable[[], None]:
         """Return a function that minimises the energy over a correction and the last step."""
         self._check(rho=rho, previous=previous, step=step)
-        difference = subtract.bind(self.grid, previous, rho)
-        measure = bind_plane_energy(self.grid, self.arrays, self.spacing / 2, rho, previous, step)
+        compute_correction = subtract.bind(self.grid, previous, rho)
+        compute_energy = bind_plane_energy(
+            self.grid, self.arrays, self.spacing / 2, rho, previous, step
+        )
 
         def run() -> None:
-            difference()
-            move_to_minimum(self.grid, *minimise_plane(*measure()), rho, previous, step)
+            compute_correction()
+            move_to_minimum(self.grid, *minimise_plane(*compute_energy()), rho, previous, step)
 
         return run
 

@@ -30,7 +30,7 @@ from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store
 from tisfm.kernels.model import MIN_PIVOT
 from tisfm.kernels.model.robust import robust_data, scale_pairs, terms_of
 from tisfm.kernels.solve.second_order.stencil import COMPONENTS, WEIGHTS
-from tisfm.kernels.solve.weight_update import ROWS, Sums
+from tisfm.kernels.solve.weight_update import BAND_ROWS, Sums
 
 
 def bind_update(
@@ -43,7 +43,7 @@ def bind_update(
     previous: LaneData,  # lane array, 1 component: an earlier D; overwritten with the present D
     # lane array, 2 components: w and D*, px/frame; D* must be finite even where w is 0
     anchors: LaneData,
-    edges: LaneData,  # lane array, 2 components: g
+    edges: LaneData,  # lane array, 2 components: g, the image-driven factor of smoothness
     # lane array, 3 components for each of 1 to 3 constraints, or None: (p, 0, c) of p D + c = 0
     constraints: LaneData | None,
     *,
@@ -74,11 +74,15 @@ def bind_update(
         half_h,
         *stiffness,
         # With infinite δ, b is 1 and its penalty is 0.
-        *(value for square in squared_contrasts for value in (1.0 / square, _finite(square))),
+        *(
+            value
+            for square in squared_contrasts
+            for value in (1.0 / square, _zero_if_infinite(square))
+        ),
         *scale_pairs(scales or (np.inf,)),
         count,
-        grid.serial,
-        -(-grid.height // ROWS),
+        grid.is_serial,
+        -(-grid.height // BAND_ROWS),
         weights,
         tensor,
         previous,
@@ -98,7 +102,7 @@ def bind_update(
     return run
 
 
-def _finite(square: float) -> float:
+def _zero_if_infinite(square: float) -> float:
     return square if np.isfinite(square) else 0.0
 
 
@@ -125,7 +129,7 @@ def _update(
     inverse_scale1: ti.f32,
     scale1: ti.f32,
     count: ti.template(),
-    serial: ti.template(),
+    is_serial: ti.template(),
     bands: ti.i32,
     weights: LaneArray(3),  # (6, H+2, S+2), in place
     tensor: LaneArray(3),  # (3, H+2, S+2), in place
@@ -153,8 +157,8 @@ def _update(
                 partial, stride, starts, index // blocks, index % blocks,
             )  # fmt: skip
     else:
-        chunk = ti.static(1 if serial else CHUNK)
-        ti.loop_config(serialize=serial)
+        chunk = ti.static(1 if is_serial else CHUNK)
+        ti.loop_config(serialize=is_serial)
         for task in range(chunk * bands):
             if task % chunk == 0:
                 band = task // chunk

@@ -225,7 +225,7 @@ def plane_costs(
     planes[..., 1], planes[..., 2] = slopes
     planes *= np.float32(2 ** (window.level - window.finest))
     out = np.empty((search.count, *search.shape), np.float32)
-    search.costs(planes, out)
+    search.write_costs(planes, out)
     return out
 
 
