@@ -167,5 +167,5 @@ def test_search_range_of_converging_cameras_exceeds_their_crossing():
         Window(key, others, motion[None], camera, cells=2**17) for motion in (parallel, converging)
     ]
     met = 0.5 * camera.focal * reach[1].unit  # D of that point
-    assert reach[1].largest > met > 0
-    np.testing.assert_allclose(reach[1].largest - reach[0].largest, met, rtol=1e-6)
+    assert reach[1].max_depth > met > 0
+    np.testing.assert_allclose(reach[1].max_depth - reach[0].max_depth, met, rtol=1e-6)

@@ -1,8 +1,8 @@
 """Weights of the matched planes of a window, from the certainty of their inverse depth D.
 
-The texture of a window may lie at its border alone, as at the outline of an object before a bare
-wall. Such a match does not give the depth of the centre. For this reason the weight of a cell
-depends on the texture close to it.
+The only texture of a matched window may lie at the border of the window, as at the outline of an
+object before a wall without texture. Such a match does not give the depth of the centre. For this
+reason the weight of a cell depends on the texture close to the cell.
 """
 
 import cv2
@@ -13,7 +13,7 @@ from tisfm.motion.matched_planes import noise_deviation
 from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.depth.window_planes import Window, WindowPlanes
 
-# Variance of the image gradient (Sobel) of noise with the variance 1. Exact.
+# Variance of the Sobel gradient of noise with the variance 1; an exact value.
 SOBEL_NOISE_GAIN = 3 / 16
 
 
@@ -33,8 +33,8 @@ def match_deviation(
 ) -> np.ndarray:  # (h, w) float32: infinite where the image is flat
     """Return the standard deviation of D, in cells, that the image around each cell allows.
 
-    It is the deviation of a least-squares fit of D to grey levels with noise σ: σ_D² =
-    2 σ² / Σ (∇I·∂x/∂D)². The sum goes over the cells close by and over the best frames.
+    This is the deviation of a least-squares fit of D to grey levels with noise σ: σ_D² =
+    2 σ² / Σ (∇I·∂x/∂D)². The sum goes over nearby cells and the best frames.
     """
     frame = window.at_cell_level(0)
     noise = noise_deviation(frame) ** 2
@@ -46,7 +46,7 @@ def match_deviation(
     for slope_x, slope_y in _position_slopes(window, inverse_depth):
         total += (gradients[0] * slope_x + gradients[1] * slope_y) ** 2
         total -= np.float32(SOBEL_NOISE_GAIN * noise) * (slope_x**2 + slope_y**2)
-    total *= np.float32(window.best / len(window.motions))
+    total *= np.float32(window.best_count / len(window.motions))
     square = cv2.boxFilter(total, -1, (DEPTH.inner_side, DEPTH.inner_side), normalize=False)
     with np.errstate(divide="ignore"):
         deviation: np.ndarray = np.sqrt(np.float32(2 * noise) / np.maximum(square, 0))
@@ -56,7 +56,7 @@ def match_deviation(
 def _position_slopes(
     window: Window, inverse_depth: np.ndarray
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return ∂x/∂D of every cell in every frame, px/px, along the columns and along the rows."""
+    """Return ∂x/∂D of every cell in every frame, px/px, along x and along y."""
     height, width = inverse_depth.shape
     camera = window.camera_of(window.level)
     cx, cy = camera.center_for(*window.frames[0][window.level].shape)

@@ -1,4 +1,4 @@
-"""Choice of the frames from which the depth of a keyframe is found."""
+"""Choice of the neighbour frames that give the depth of a keyframe."""
 
 import numpy as np
 
@@ -12,8 +12,8 @@ def choose_neighbours(
     # (N, 4, 4) float64: camera to world. A frame without a pose has NaN and is never chosen.
     poses: np.ndarray,
     key: int,  # number of the keyframe
-    # (h, w) array or float: a rough inverse depth of the keyframe, 1/unit of the poses. Where it is
-    # not finite or not positive it is unknown; the median takes its place.
+    # (H, W) array or float: a rough inverse depth of the keyframe, 1/unit of the poses. The median
+    # replaces values that are not finite or not positive.
     inverse_depth: np.ndarray | float,
     camera: Camera,  # a pinhole
     shape: tuple[int, int],  # height and width of the frames, px
@@ -25,11 +25,11 @@ def choose_neighbours(
 ) -> list[int]:  # numbers of the chosen frames, the best first
     """Choose frames with good parallax for each part of a keyframe, from both sides.
 
-    A frame shows a point with the value s = min(1, p/p₁) min(1, p₂/p), where p is the parallax of
+    The value of a frame for a point is s = min(1, p/p₁) min(1, p₂/p), where p is the parallax of
     the point; s is 0 outside the frame. Frames are chosen greedily: each time the frame that adds
-    most to Σ √S over all points. S is the sum of s over the chosen frames, taken apart for the
-    frames in which the point moves to either side along its epipolar line: a surface that is hidden
-    from one side may be visible from the other.
+    most to Σ √S over all points and both sides. S is the sum of s over the chosen frames in which
+    the point moves to one side along its epipolar line. The sides have separate sums, since a
+    surface that is hidden from one side may be visible from the other side.
 
     Raises ValueError if the keyframe has no pose or no known depth.
     """
@@ -51,18 +51,18 @@ def choose_neighbours(
         if reference is not None:
             same_side = np.einsum("jkp,kp->jp", directions, reference) >= 0
         gains = np.zeros(len(candidates))
-        for is_same, total in zip((same_side, ~same_side), sums, strict=True):
-            gains += (np.sqrt(total + values * is_same) - np.sqrt(total)).mean(axis=1)
+        for is_same, side_sums in zip((same_side, ~same_side), sums, strict=True):
+            gains += (np.sqrt(side_sums + values * is_same) - np.sqrt(side_sums)).mean(axis=1)
         gains[chosen] = 0
         best = int(np.argmax(gains))
         if gains[best] < DEPTH.min_gain:
             break
-        for is_same, total in zip((same_side, ~same_side), sums, strict=True):
-            total += values[best] * is_same[best]
+        for is_same, side_sums in zip((same_side, ~same_side), sums, strict=True):
+            side_sums += values[best] * is_same[best]
         if reference is None:
             reference = directions[best].copy()
-        without_reference = ~reference.any(axis=0)
-        reference[:, without_reference] = directions[best][:, without_reference]
+        has_no_reference = ~reference.any(axis=0)
+        reference[:, has_no_reference] = directions[best][:, has_no_reference]
         chosen.append(best)
     return [int(candidates[j]) for j in chosen]
 
@@ -93,27 +93,27 @@ def _parallax_values(
     inverse_depths: np.ndarray,
     camera: Camera,
     shape: tuple[int, int],
-    full_width: int,
+    uncropped_width: int,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return how well candidates show points (J, P), and the directions of parallax (J, 2, P).
 
-    Parallax is a share of `full_width`, an image width in px.
+    Parallax is a share of `uncropped_width`, an image width in px.
     """
     height, width = shape
     cx, cy = camera.center_for(height, width)
     motions = np.linalg.inv(poses[candidates]) @ poses[key]
-    rotated = motions[:, :3, :3] @ rays
-    points = rotated + inverse_depths * motions[:, :3, 3:]
+    rotated_rays = motions[:, :3, :3] @ rays
+    points = rotated_rays + inverse_depths * motions[:, :3, 3:]
     with np.errstate(divide="ignore", invalid="ignore"):
         projected = camera.focal * points[:, :2] / points[:, 2:]
-        displacement = projected - camera.focal * rotated[:, :2] / rotated[:, 2:]
+        displacement = projected - camera.focal * rotated_rays[:, :2] / rotated_rays[:, 2:]
         u, v = cx + projected[:, 0], cy + projected[:, 1]
-        inside = (points[:, 2] > 0) & (rotated[:, 2] > 0)
-        inside &= (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5)
-    displacement = np.where(inside[:, None], displacement, 0)
-    parallax = np.hypot(displacement[:, 0], displacement[:, 1]) / full_width
+        is_inside = (points[:, 2] > 0) & (rotated_rays[:, 2] > 0)
+        is_inside &= (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5)
+    displacement = np.where(is_inside[:, None], displacement, 0)
+    parallax = np.hypot(displacement[:, 0], displacement[:, 1]) / uncropped_width
     values = np.minimum(1, parallax / DEPTH.full_parallax) * np.minimum(
         1, DEPTH.max_parallax / np.maximum(parallax, 1e-9)
     )
-    direction = displacement / np.maximum(full_width * parallax, 1e-9)[:, None]
-    return values * inside, direction
+    direction = displacement / np.maximum(uncropped_width * parallax, 1e-9)[:, None]
+    return values * is_inside, direction

@@ -1,9 +1,9 @@
-"""Dense bundle adjustment: poses of frames and depth of keyframes are fitted to the images.
+"""Dense bundle adjustment: a fit of the poses of frames and the depth of keyframes to images.
 
 A keyframe and the frames around it form a keyframe window. Every pixel of the keyframe has one
-inverse depth. The motion tensors of all frames of the window give normal equations with six
-unknowns a frame, in which this depth is eliminated. A frame belongs to several windows; this gives
-all windows one scale.
+inverse depth. The motion tensors of all frames of the window give normal equations, from which the
+depth is eliminated; six unknowns a frame are left. A frame belongs to several windows, so all
+windows have one scale.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -40,10 +40,10 @@ Frames = Callable[[int], np.ndarray]
 
 @dataclass(kw_only=True)
 class KeyframeWindow:
-    """A keyframe, its depth, and the frames that it is compared with."""
+    """A keyframe, its depth, and the frames that the keyframe is compared with."""
 
     key: int
-    members: tuple[int, ...]
+    members: tuple[int, ...]  # frames that are compared with the keyframe
     # (h, w) float32: inverse depth of the keyframe at pyramid level `level`, 1/unit of the poses
     inverse_depth: np.ndarray
     weight: np.ndarray  # (h, w) float32: weight of each pixel, in [0, 1]
@@ -54,11 +54,11 @@ def make_keyframe_window(
     key: int,
     members: Sequence[int],
     frame: np.ndarray,  # (H, W) float32: grey levels of the keyframe
-    # inverse_depth, deviation: (H, W) float32, its inverse depth and the standard deviation. A
-    # pixel with a large deviation gets a small weight.
+    # inverse_depth, deviation: (H, W) float32: the inverse depth of the keyframe and its standard
+    # deviation. A pixel with a large deviation gets a small weight.
     inverse_depth: np.ndarray,
     deviation: np.ndarray,
-    used_pixels: np.ndarray | None = None,  # (H, W) bool: pixels that are used; by default all
+    used_pixels: np.ndarray | None = None,  # (H, W) bool; by default all pixels
 ) -> KeyframeWindow:
     """Return the window of a keyframe."""
     level = 0
@@ -67,18 +67,18 @@ def make_keyframe_window(
     small = _shrink(frame, level)
     height, width = small.shape
     stride = 2**level
-    half = stride // 2
-    sampled = [image[half::stride, half::stride] for image in (inverse_depth, deviation)]
-    sampled = [np.pad(image, [(0, 1)] * 2, mode="edge")[:height, :width] for image in sampled]
-    depth = sampled[0]
+    offset = stride // 2
+    samples = [image[offset::stride, offset::stride] for image in (inverse_depth, deviation)]
+    samples = [np.pad(image, [(0, 1)] * 2, mode="edge")[:height, :width] for image in samples]
+    depth = samples[0]
     valid = np.isfinite(depth) & (depth > 0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        certainty = 1 / (1 + (sampled[1] / depth / DEPTH.half_weight_deviation) ** 2)
+        certainty = 1 / (1 + (samples[1] / depth / DEPTH.half_weight_deviation) ** 2)
     variance = window_variance(small, DEPTH.texture_window)
     texture = variance / (variance + DEPTH.adjust_texture * noise_deviation(small) ** 2)
     weight = np.where(valid, np.nan_to_num(certainty) * texture, 0)
     if used_pixels is not None:
-        mask = np.pad(used_pixels[half::stride, half::stride], [(0, 1)] * 2, mode="edge")
+        mask = np.pad(used_pixels[offset::stride, offset::stride], [(0, 1)] * 2, mode="edge")
         weight *= mask[:height, :width]
     median_depth = np.median(depth[valid]) if valid.any() else np.float32(1)
     return KeyframeWindow(
@@ -100,7 +100,7 @@ def adjust_poses(
     fixed_frames: Collection[int] = (),  # frames whose poses are fixed; by default the first frame
     rounds: int | None = None,  # Gauss–Newton steps; by default those of the settings
 ) -> dict[int, np.ndarray]:
-    """Return poses that fit the images better. The depth of the windows is changed in place."""
+    """Return poses that fit the images better. The depth of the windows changes in place."""
     adjusted = {frame: np.array(pose, np.float64) for frame, pose in poses.items()}
     windows = [w for w in windows if any(f in adjusted and f != w.key for f in w.members)]
     if not windows:
@@ -119,23 +119,23 @@ def adjust_poses(
 
 
 class _FrameCache:
-    """Shrunk frames and their spline taps; the frames used last stay in memory."""
+    """A cache of shrunk frames and their spline taps, in order of their last use."""
 
     def __init__(self, frames: Frames, camera: Camera, settings: Settings) -> None:
         self._frames, self._camera, self._settings = frames, camera, settings
-        self._cached: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = {}
+        self._entries: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = {}
 
     def shrunk_frame(self, number: int, level: int) -> tuple[np.ndarray, np.ndarray]:
         """Return a frame, (h, w) float32, and its spline's taps."""
         key = number, level
-        if key in self._cached:
-            self._cached[key] = self._cached.pop(key)  # now the most recently used
-            return self._cached[key]
-        while len(self._cached) >= CACHED_FRAMES:
-            self._cached.pop(next(iter(self._cached)))
+        if key in self._entries:
+            self._entries[key] = self._entries.pop(key)  # now the most recently used
+            return self._entries[key]
+        while len(self._entries) >= CACHED_FRAMES:
+            self._entries.pop(next(iter(self._entries)))
         small = _shrink(self._frames(number), level)
-        self._cached[key] = small, spline_taps(small)
-        return self._cached[key]
+        self._entries[key] = small, spline_taps(small)
+        return self._entries[key]
 
     def camera(self, number: int, level: int) -> Camera:
         """Return the camera of a shrunk frame."""
@@ -163,8 +163,8 @@ def _linearise(
 ) -> _NormalEquations:
     """Linearise the images of a window about its poses and depth.
 
-    With `move_depth`, the depth is changed in place to fit these poses. This comes last, since the
-    equations eliminate the depth before the change.
+    With `move_depth`, the depth changes in place to fit these poses. This is the last step, since
+    the equations are for the depth before the change.
     """
     key, _ = cache.shrunk_frame(window.key, window.level)
     camera = cache.camera(window.key, window.level)
@@ -201,8 +201,8 @@ def _linearise(
             squared_residual.bind(grid, tensor, flow, residual),
         )()  # fmt: skip
         lanes_to_images(grid, residual, residual_image)
-        weighted = residual_image[0, window.weight > 0]
-        median_square = float(np.median(weighted[weighted > 0])) if (weighted > 0).any() else 1.0
+        residuals = residual_image[0, window.weight > 0]
+        median_square = float(np.median(residuals[residuals > 0])) if (residuals > 0).any() else 1.0
         block = slice(6 * j, 6 * j + 6)
         matrix[block, block], vector[block] = add_frame(
             grid, tensor, unknowns.rho, weight, *image_points, slopes, sums, number=j,
@@ -238,7 +238,7 @@ def _move_depth(
     """
     images = np.empty((2, grid.height, grid.width), np.float32)
     lanes_to_images(grid, sums, images)
-    # Single pixels are noisy, so the depth of a neighbourhood moves together.
+    # Steps of single pixels are noisy, so steps are averaged over a neighbourhood.
     side = DEPTH.depth_window
     curvature, gradient = (cv2.blur(values, (side, side)) for values in images)
     step = -gradient / (curvature + np.float32(damping)) / np.float32(scale)
@@ -247,7 +247,7 @@ def _move_depth(
 
 
 def _twist_between(pose: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return the twist, (6,), from a pose to another, in the parameters of the steps."""
+    """Return the twist, (6,), from a pose to another, in the parameters of the pose steps."""
     relative = np.linalg.inv(pose) @ other
     return rigid_twist(relative[:3, :3], relative[:3, 3])
 
@@ -258,10 +258,10 @@ def _solve(
     displacements: Mapping[int, np.ndarray],
     fixed_frames: Collection[int],
 ) -> dict[int, np.ndarray]:
-    """Return the step of every frame; it is 0 for fixed frames.
+    """Return the step of every frame, (6,); it is 0 for fixed frames.
 
-    Windows hardly constrain the motion between distant frames. There, a weak prior pulls each frame
-    back by its twist in `displacements` from the pose before the adjustment.
+    Windows hardly constrain the motion between distant frames. For this reason a weak prior pulls
+    each frame to its pose before the adjustment. `displacements` has the twist from there, (6,).
     """
     steps: dict[int, np.ndarray] = {}
     for start in range(0, len(frames), DEPTH.max_adjust_frames):
@@ -278,9 +278,9 @@ def _solve(
         prior = np.where(diagonal > 0, DEPTH.pose_damping * diagonal, 1.0)
         matrix += np.diag(prior)
         vector += prior * np.concatenate([displacements[frame] for frame in batch])
-        free = _pose_rows([batch_index[frame] for frame in batch if frame not in fixed_frames])
+        free_rows = _pose_rows([batch_index[frame] for frame in batch if frame not in fixed_frames])
         step = np.zeros(6 * len(batch))
-        step[free] = -np.linalg.solve(matrix[np.ix_(free, free)], vector[free])
+        step[free_rows] = -np.linalg.solve(matrix[np.ix_(free_rows, free_rows)], vector[free_rows])
         steps.update({frame: step[6 * k : 6 * k + 6] for frame, k in batch_index.items()})
     return steps
 

@@ -1,4 +1,4 @@
-"""Depth of the frames of a piece: estimated for keyframes, rendered for the frames between."""
+"""Depth of the frames of a piece: keyframes are estimated, frames between them are rendered."""
 
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
@@ -30,7 +30,7 @@ from tisfm.settings import Settings
 
 @dataclass(frozen=True, kw_only=True)
 class FrameDepth:
-    """Depth of a frame, as it is written."""
+    """Depth of a frame, in the form in which a result stores it."""
 
     frame: int
     # inverse_depth, deviation: (H, W) float32, NaN and infinity where there is no depth. The
@@ -40,7 +40,7 @@ class FrameDepth:
 
 
 class Frames(Protocol):
-    """Frames from which depth is found, such as `PreparedFrames`."""
+    """Frames that give depth, such as `PreparedFrames`."""
 
     camera: Camera
     shape: tuple[int, int]
@@ -49,11 +49,11 @@ class Frames(Protocol):
         """Return a frame, (H, W) float32."""
 
     def used_pixels(self, number: int) -> np.ndarray | None:
-        """Return the mask of the pixels that count, (H, W) bool; None if all do."""
+        """Return the mask of the used pixels, (H, W) bool; None for all pixels."""
 
 
 class PieceDepths:
-    """Iterates over the depth of the frames of a piece."""
+    """An iterable over the depth of the frames of a piece."""
 
     def __init__(
         self,
@@ -63,12 +63,11 @@ class PieceDepths:
         settings: Settings,
         effort: Effort,
         *,
-        # (int, WindowDepth): a keyframe whose depth is known already, and this depth. Depth is
-        # found for later frames only.
+        # a keyframe with known depth, and its depth; only later frames get depth
         start_keyframe: tuple[int, WindowDepth] | None = None,
-        written_until: int = -1,  # frames up to this number are skipped, except keyframes
-        # Height and width of the uncropped frames, if the frames are crops. Depth is found as in
-        # the uncropped frames.
+        written_until: int = -1,  # frames up to this number get no depth, except keyframes
+        # height and width of the uncropped frames, px, if the frames are crops: tuned numbers are
+        # relative to this size
         uncropped_shape: tuple[int, int] | None = None,
     ) -> None:
         self._frames, self._piece, self._observations = frames, piece, observations
@@ -76,19 +75,18 @@ class PieceDepths:
         self._camera = frames.camera
         self._uncropped_shape = uncropped_shape or frames.shape
         self._written_until = written_until
-        # depth of each keyframe in use from its own window, except for `start_keyframe`
+        # by keyframe: depth from the window of the keyframe, before fusion
         start_depths = [] if start_keyframe is None else [start_keyframe]
         self._window_depths: dict[int, WindowDepth] = dict(start_depths)
         self._start_key = next(iter(self._window_depths), None)
-        # final depth of the last keyframe and of the one before it: fused with the depth of their
-        # neighbour keyframes
+        # by keyframe, the last two keyframes: depth after fusion with their neighbour keyframes
         self.final_depths = dict(self._window_depths)
-        # Chosen at the start. The iteration removes keyframes that get no depth.
+        # The iteration removes keyframes that get no depth.
         side = max(self._uncropped_shape)
         self.keyframes = choose_keyframes(piece, observations, side, self._start_key)
 
     def __iter__(self) -> Iterator[FrameDepth]:
-        """Yield the depth of each frame that has any; a keyframe waits until the next is known."""
+        """Yield the depth of frames, if any; a keyframe waits for that of the next keyframe."""
         previous = self._start_key
         for key in list(self.keyframes):
             depth = self._keyframe_depth(key, previous, self._effort)
@@ -106,7 +104,7 @@ class PieceDepths:
             yield from self._frames_between(previous, max(self._piece.poses) + 1)
 
     def _finish_keyframe(self, key: int) -> Iterator[FrameDepth]:
-        """Yield a keyframe with known neighbours, and the frames between it and the one before."""
+        """Yield the depth of the frames since the last finished keyframe, up to a keyframe."""
         if key in self.final_depths:
             return
         after = max(self.final_depths, default=min(self._piece.poses) - 1)
@@ -116,25 +114,25 @@ class PieceDepths:
         self.final_depths = {key: depth}
 
     def _fuse_neighbours(self, key: int) -> WindowDepth:
-        """Return the depth of a keyframe, fused with that of the keyframes before and after it.
+        """Return the depth of a keyframe, fused with the depth of its neighbour keyframes.
 
-        Differences between the keyframes raise the deviation: they show errors of poses and of
-        matches that a single window cannot see.
+        Differences between keyframes increase the deviation: they show errors of poses and matches
+        that a single window does not show.
         """
         depth, shape, stride = self._window_depths[key], self._frames.shape, DEPTH.compare_stride
         views = [(depth.inverse_depth[::stride, ::stride], depth.deviation[::stride, ::stride])]
         for other, other_depth in self._window_depths.items():
             if other != key:
                 views.append(self._render_keyframe(other_depth, other, key, stride))
-        raised = add_difference_to_deviation(views, DEPTH.difference_to_deviation)
-        mean, deviation = fuse_views(raised)
-        # The keyframe's own depth is known at every pixel; only the correction is upsampled.
+        compared_views = add_difference_to_deviation(views, DEPTH.difference_to_deviation)
+        mean, deviation = fuse_views(compared_views)
+        # The keyframe has depth at every pixel, so only the relative correction is upsampled.
         inverse_depth = depth.inverse_depth * upsample(mean / views[0][0], stride, shape)
         deviation = upsample(deviation, stride, shape)
         return replace(depth, inverse_depth=inverse_depth, deviation=deviation)
 
     def keyframe_windows(self) -> list[KeyframeWindow]:
-        """Return windows of keyframes with rough depth, and the frames up to the next keyframes."""
+        """Return windows: each keyframe with rough depth, and all frames between its neighbours."""
         frames = sorted(self._piece.poses)
         limits = [frames[0], *self.keyframes, frames[-1]]
         windows = []
@@ -161,29 +159,30 @@ class PieceDepths:
     def _written_depth(
         self, frame: int, inverse_depth: np.ndarray, deviation: np.ndarray
     ) -> FrameDepth:
-        """Return the depth to write; masked pixels show other objects and get no certainty."""
+        """Return the depth to store; masked pixels, on other objects, have no finite deviation."""
         used_pixels = self._frames.used_pixels(frame)
         if used_pixels is not None:
             deviation = np.where(used_pixels, deviation, np.float32(np.inf))
         return FrameDepth(frame=frame, inverse_depth=inverse_depth, deviation=deviation)
 
     def _keyframe_depth(self, key: int, previous: int | None, effort: Effort) -> WindowDepth | None:
-        """Return the depth of a keyframe from the frames around it; None if they do not show it.
+        """Return the depth of a keyframe from neighbour frames; None without neighbours or matches.
 
-        The frames are chosen with a rough depth from the tracks, or else from the keyframe before.
+        A rough depth for the choice of neighbours comes from tracks, or else from the keyframe
+        before.
         """
         poses = self._piece.poses
         points, depths = track_depths(self._observations[key], self._piece.points, poses[key])
-        rough = _nearest_track_depth(points, depths, self._frames.shape)
-        if rough is None and previous is not None:
-            rough = self._render_keyframe(self._window_depths[previous], previous, key, 1)[0]
-        if rough is None or not np.isfinite(rough).any():
+        rough_depth = _nearest_track_depth(points, depths, self._frames.shape)
+        if rough_depth is None and previous is not None:
+            rough_depth = self._render_keyframe(self._window_depths[previous], previous, key, 1)[0]
+        if rough_depth is None or not np.isfinite(rough_depth).any():
             return None
         nearby = [f for f in poses if abs(f - key) <= DEPTH.max_frame_distance]
         neighbours = choose_neighbours(
             np.array([poses[f] for f in nearby]),
             nearby.index(key),
-            rough,
+            rough_depth,
             self._camera,
             self._frames.shape,
             max_count=by_effort(DEPTH.max_neighbours, effort),
@@ -206,9 +205,9 @@ class PieceDepths:
         )
 
     def _render_keyframe(self, source: WindowDepth, key: int, frame: int, stride: int) -> View:
-        """Return the depth of a keyframe, rendered into a frame, and its deviation; NaN for none.
+        """Return the depth of a keyframe, rendered into a frame, and its deviation; NaN in holes.
 
-        They have every `stride`-th row and column, from 0.
+        The results contain every `stride`-th row and column, from 0.
         """
         poses = self._piece.poses
         motion = (np.linalg.inv(poses[frame]) @ poses[key])[:3]
@@ -220,8 +219,8 @@ class PieceDepths:
         cx, cy = self._camera.center_for(*self._frames.shape)
         center, focal = (cx / stride, cy / stride), self._camera.focal / stride
         render_depth(depth, std, motion, inverse_depth, deviation, center=center, focal=focal)
-        visible = inverse_depth > 0
-        return np.where(visible, inverse_depth, np.nan), np.where(visible, deviation, np.nan)
+        is_visible = inverse_depth > 0
+        return np.where(is_visible, inverse_depth, np.nan), np.where(is_visible, deviation, np.nan)
 
     def _render_depth(self, frame: int) -> View:
         """Return the depth of a frame, rendered from the keyframes, and its deviation."""
@@ -230,17 +229,17 @@ class PieceDepths:
         views = [self._render_keyframe(depth, key, frame, stride) for key, depth in depths]
         inverse_depth, deviation = fuse_views(views)
         grey = np.ascontiguousarray(self._frames.grey(frame)[::stride, ::stride])
-        filled, filled_deviation = align_edges(*fill_holes(inverse_depth, deviation, grey), grey)
+        depth, std = align_edges(*fill_holes(inverse_depth, deviation, grey), grey)
         shape = self._frames.shape
-        return upsample(filled, stride, shape), upsample(filled_deviation, stride, shape)
+        return upsample(depth, stride, shape), upsample(std, stride, shape)
 
 
 def choose_keyframes(
     piece: Piece, observations: Sequence[Observations], side: int, previous: int | None = None
 ) -> list[int]:
-    """Return the frames of a piece, in order, between which the tracks move far enough.
+    """Return the keyframes of a piece, in order; tracks move far enough between them.
 
-    With `previous`, the keyframe before them, only later frames are chosen.
+    With `previous`, the number of the last known keyframe, all keyframes come after it.
     """
     frames = sorted(piece.poses)
     keys = frames[:1] if previous is None else [previous]
@@ -274,13 +273,13 @@ def _nearest_track_depth(
 
 
 def median_depth(inverse_depth: np.ndarray) -> float:
-    """Return the median depth of a frame; 1 if it has none."""
+    """Return the median depth of a frame; 1 without depth."""
     valid = inverse_depth[np.isfinite(inverse_depth) & (inverse_depth > 0)]
     return 1 / float(np.median(valid)) if len(valid) else 1.0
 
 
 def depth_effort(settings: Settings) -> Effort:
-    """Return how densely planes are matched: as in the preset that is most like these settings."""
+    """Return the effort of plane matching: that of the preset most similar to the settings."""
     if settings.finest_level > 0:
         return "fast"
     balanced = Settings.preset("balanced")

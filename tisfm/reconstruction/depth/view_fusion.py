@@ -1,6 +1,6 @@
-"""Fusion of the depth that several keyframes give one view: deviation, filled holes, edges.
+"""Fusion of the depth of one frame from several keyframes: deviation, filled holes, edges.
 
-Inverse depth is (H, W) float32, and NaN where a keyframe has none.
+Inverse depth is (H, W) float32, and NaN where a keyframe has no depth.
 """
 
 from collections.abc import Sequence
@@ -19,34 +19,34 @@ View = tuple[np.ndarray, np.ndarray]  # inverse depth and its deviation, (H, W) 
 
 def relative_difference(
     inverse_depth: np.ndarray,  # (H, W) float32: positive, or NaN where it is not compared
-    others: Sequence[np.ndarray],  # sequence of (H, W) float32
-) -> np.ndarray:  # (H, W) float32: a share of the inverse depth; 0 where there are no others
-    """Return the mean relative difference of others from an inverse depth around every pixel."""
+    others: Sequence[np.ndarray],  # sequence of (H, W) float32: other inverse depths
+) -> np.ndarray:  # (H, W) float32: a share of the inverse depth; 0 without other depth
+    """Return the mean relative difference of others from an inverse depth, around every pixel."""
     total, count = np.zeros((2, *inverse_depth.shape), np.float32)
     for other in others:
         difference = np.abs(other - inverse_depth) / inverse_depth
         valid = np.isfinite(difference)
         total += np.where(valid, np.minimum(difference, np.float32(DEPTH.difference_limit)), 0)
         count += valid
-    compared = count > 0
-    if not compared.any():
+    is_known = count > 0
+    if not is_known.any():
         return total
-    median_term = np.float32(DEPTH.median_weight) * np.median(total[compared] / count[compared])
+    prior = np.float32(DEPTH.median_weight) * np.median(total[is_known] / count[is_known])
     side = 2 * round(DEPTH.difference_window * max(inverse_depth.shape) / 2) + 1
     blurred = cv2.blur(np.dstack([total, count]), (side, side))
     weight = blurred[..., 1] + np.float32(DEPTH.median_weight)
-    return np.asarray((blurred[..., 0] + median_term) / weight)
+    return np.asarray((blurred[..., 0] + prior) / weight)
 
 
 def add_difference_to_deviation(views: Sequence[View], factor: float) -> list[View]:
-    """Return views whose deviation is raised by `factor` times their difference from the others."""
+    """Return views; `factor` times the difference from other views is added to the deviation."""
     depths = [depth for depth, _ in views]
-    raised = []
+    new_views = []
     for number, (depth, deviation) in enumerate(views):
         others = depths[:number] + depths[number + 1 :]
         difference = np.float32(factor) * relative_difference(depth, others)
-        raised.append((depth, np.hypot(deviation, difference * depth)))
-    return raised
+        new_views.append((depth, np.hypot(deviation, difference * depth)))
+    return new_views
 
 
 def fuse_views(
@@ -54,27 +54,27 @@ def fuse_views(
 ) -> View:
     """Return the mean of the keyframes that agree most, at every pixel.
 
-    Returns inverse depth and deviation, (H, W) float32, NaN where there is none. The depths of the
-    keyframes come from overlapping sets of images, so the mean has no smaller deviation than they
-    have.
+    Returns inverse depth and deviation, (H, W) float32, NaN without depth. The depths of the
+    keyframes come from overlapping sets of images. For this reason the mean does not get a smaller
+    deviation than the keyframes.
     """
     depths, deviations = map(np.stack, zip(*views, strict=True))
     valid = np.isfinite(depths) & np.isfinite(deviations)
-    depths, deviations = (np.where(valid, each, np.float32(0)) for each in (depths, deviations))
-    out, out_deviation = np.empty((2, *depths.shape[1:]), np.float32)
-    merge_depths(depths, deviations, out, out_deviation, max_difference=DEPTH.max_difference)
-    return np.where(out > 0, out, np.nan), np.where(out > 0, out_deviation, np.nan)
+    depths, deviations = (np.where(valid, values, np.float32(0)) for values in (depths, deviations))
+    fused, fused_deviation = np.empty((2, *depths.shape[1:]), np.float32)
+    merge_depths(depths, deviations, fused, fused_deviation, max_difference=DEPTH.max_difference)
+    return np.where(fused > 0, fused, np.nan), np.where(fused > 0, fused_deviation, np.nan)
 
 
 def fill_holes(
-    # inverse_depth, deviation, frame: (H, W) float32, the frame has grey levels
+    # inverse_depth, deviation, frame: (H, W) float32; the frame is in grey levels
     inverse_depth: np.ndarray,
     deviation: np.ndarray,
     frame: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Fill holes of inverse depth, which no keyframe shows, and set their deviation.
 
-    Slopes are continued as well, up to image edges (`tisfm.solver.second_order`).
+    Depth is extrapolated with its slopes, up to image edges (`tisfm.solver.second_order`).
     """
     valid = np.isfinite(inverse_depth)
     if valid.all() or not valid.any():
@@ -102,10 +102,10 @@ def upsample(
     stride: int,  # a power of 2
     shape: tuple[int, int],  # H and W
 ) -> np.ndarray:  # (H, W) float32
-    """Return an image at all pixels, from its values at some rows and columns.
+    """Return an image at all pixels, from its values at every `stride`-th row and column.
 
-    A pixel between two similar values has their mean. Where the two differ, the image has an edge,
-    and the pixel repeats the value before it.
+    A pixel between two similar values gets their mean. Different values show an edge; then the
+    pixel gets the value to its left or above.
     """
     while stride > 1:
         image = _double_rows(_double_rows(image).T).T
@@ -123,13 +123,13 @@ def _double_rows(image: np.ndarray) -> np.ndarray:
 
 
 def align_edges(
-    # inverse_depth, deviation, frame: (H, W) float32, the frame has grey levels. If any inverse
-    # depth is not finite, nothing changes.
+    # inverse_depth, deviation, frame: (H, W) float32; the frame is in grey levels. If any inverse
+    # depth is not finite, the function changes nothing.
     inverse_depth: np.ndarray,
     deviation: np.ndarray,
     frame: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return inverse depth and its deviation, with edges moved to the image edges nearby."""
+    """Return inverse depth and its deviation, with depth edges moved to nearby image edges."""
     if not np.isfinite(inverse_depth).all():
         return inverse_depth, deviation
     depth, std = np.ascontiguousarray(inverse_depth), np.ascontiguousarray(deviation)
@@ -142,11 +142,11 @@ def align_edges(
 def _surface_threshold(inverse_depth: np.ndarray) -> np.ndarray:
     """Return the geometric mean of the extremes in a window around a depth edge; elsewhere 0."""
     neighbours, window = (np.ones((side, side), np.uint8) for side in (3, 2 * VOTING_RADIUS + 1))
-    nearest = cv2.dilate(inverse_depth, neighbours)
-    edge = nearest - cv2.erode(inverse_depth, neighbours) > DEPTH.min_jump * nearest
-    # Pixels so near to the edge that the window holds pixels of both surfaces.
-    near_edge = (
-        cv2.dilate(edge.astype(np.uint8), np.ones((2 * VOTING_RADIUS - 1,) * 2, np.uint8)) > 0
+    max_neighbour = cv2.dilate(inverse_depth, neighbours)
+    is_edge = max_neighbour - cv2.erode(inverse_depth, neighbours) > DEPTH.min_jump * max_neighbour
+    # These pixels are so near to the edge that their windows contain pixels of both surfaces.
+    is_near_edge = (
+        cv2.dilate(is_edge.astype(np.uint8), np.ones((2 * VOTING_RADIUS - 1,) * 2, np.uint8)) > 0
     )
-    lowest, highest = cv2.erode(inverse_depth, window), cv2.dilate(inverse_depth, window)
-    return np.where(near_edge, np.sqrt(lowest * highest), np.float32(0))
+    min_depth, max_depth = cv2.erode(inverse_depth, window), cv2.dilate(inverse_depth, window)
+    return np.where(is_near_edge, np.sqrt(min_depth * max_depth), np.float32(0))

@@ -1,9 +1,9 @@
 """Inverse depth of a keyframe from several frames whose poses are known.
 
-Planes are matched in all frames at once (`tisfm.reconstruction.depth.window_planes`); second-order
+Planes are matched in all frames at once (`tisfm.reconstruction.depth.window_planes`). Second-order
 smoothness propagates reliable matches to the other pixels (`tisfm.solver.second_order`). Then the
-data terms of all frames refine the common inverse depth D, each along its own epipolar line. Their
-sum Σ w_j (A_j D² + 2 B_j D) is one scalar term.
+data terms of all frames refine D, the scaled inverse depth of a pixel. Each data term acts along an
+epipolar line of its frame. The sum Σ w_j (A_j D² + 2 B_j D) of the data terms is one scalar term.
 """
 
 import math
@@ -48,7 +48,7 @@ Effort = Literal["fast", "balanced", "accurate"]
 
 
 def by_effort(numbers: tuple[int, int, int], effort: Effort) -> int:
-    """Return the number of an effort, from those of all efforts."""
+    """Return the number for an effort, from the numbers of all efforts."""
     return numbers[get_args(Effort).index(effort)]
 
 
@@ -65,14 +65,14 @@ class WindowDepth:
 def window_depth(
     key: np.ndarray,  # (H, W) float32: grey levels on the 8-bit scale
     others: Sequence[np.ndarray],  # sequence of (H, W) float32: M frames that show the same scene
-    motions: np.ndarray,  # (M, 3, 4) array: R and t from the keyframe to each: P₁ = R P₀ + t
+    motions: np.ndarray,  # (M, 3, 4) array: R, t from the keyframe to each frame: P₁ = R P₀ + t
     camera: Camera,  # a pinhole
     settings: Settings,  # settings of the data terms
     *,
     effort: Effort = "balanced",  # how densely planes are matched
-    # (H, W) bool: pixels of the keyframe that count; the others get propagated depth
+    # (H, W) bool: used pixels of the keyframe; the other pixels get propagated depth
     key_mask: np.ndarray | None = None,
-    # sequence of (H, W) bool or None: pixels of each other frame that count
+    # sequence of (H, W) bool or None: used pixels of each other frame
     masks: Sequence[np.ndarray | None] | None = None,
     # H and W of the uncropped frames, as for `Window`
     uncropped_shape: tuple[int, int] | None = None,
@@ -124,8 +124,8 @@ def min_inverse_depth(matches: np.ndarray) -> np.float32:
 def second_order(level: int) -> SecondOrderSettings:
     """Return the smoothness of cells of 2^`level` px a side.
 
-    It is the smoothness of full resolution, scaled: slopes continue over the same number of px,
-    although there are fewer anchors.
+    This is the scaled smoothness of full resolution: slopes continue over the same number of px,
+    although there are fewer matched cells.
     """
     side = 2.0**level
     return replace(
@@ -194,7 +194,7 @@ class _DepthRefinement:
         self._bound_constraint = depth_constraint.bind(grid, sums, constraint)
 
     def step(self) -> None:
-        """Linearise every frame once, and minimise."""
+        """Linearise the data terms of every frame once, and minimise the energy."""
         self._sums.fill(0)
         for linearise in self._linearise:
             linearise()
@@ -207,7 +207,7 @@ class _DepthRefinement:
         return self._minimiser.images()[0]
 
     def residual(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return A and A D² + 2 B D + C, (h, w) float32 each, of the last linearisation."""
+        """Return A and A D² + 2 B D + C of the last linearisation, (h, w) float32 each."""
         sums = np.empty((3, self._grid.height, self._grid.width), np.float32)
         lanes_to_images(self._grid, self._sums, sums)
         depth = self.depth()

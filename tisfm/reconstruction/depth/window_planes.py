@@ -1,4 +1,4 @@
-"""Planes of a keyframe, matched in several frames with known motions, and their reliability."""
+"""Planes of a keyframe, matched in several frames under known motions, and their reliability."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from tisfm.solver.image_pyramid import gaussian_pyramid, smooth
 
 # Steps per px in which values of D are compared.
 REGION_UNITS = 16
-# Seed of the noise that replaces masked pixels of other frames: it correlates with nothing.
+# Seed of the noise that replaces masked pixels of other frames, so that no window matches them.
 MASKED_SEED = 7
 
 
@@ -44,21 +44,21 @@ class Window:
         self,
         key: np.ndarray,  # (H, W) float32: grey levels of the keyframe
         others: Sequence[np.ndarray],  # sequence of (H, W) float32: M other frames
-        motions: np.ndarray,  # (M, 3, 4) array: R and t from the keyframe to each of them
+        motions: np.ndarray,  # (M, 3, 4) array: R, t from the keyframe to each other frame
         camera: Camera,  # a pinhole
         *,
         cells: int,  # largest number of cells
-        key_mask: np.ndarray | None = None,  # (H, W) bool: pixels that count; by default all
-        # sequence of (H, W) bool or None: pixels of each other frame that count
+        key_mask: np.ndarray | None = None,  # (H, W) bool: used pixels; by default all
+        # sequence of (H, W) bool or None: used pixels of each other frame
         masks: Sequence[np.ndarray | None] | None = None,
-        # H and W of the uncropped frames, if the frames are crops. Density of cells and search
-        # range are those of the uncropped frames.
+        # H and W of the uncropped frames, if the frames are crops. The density of cells and the
+        # search range depend on this size.
         uncropped_shape: tuple[int, int] | None = None,
     ) -> None:
         self.camera, self.size = camera, key.shape
         height, width = uncropped_shape or key.shape
-        # A length: an inverse depth d, in 1/unit of the poses, moves pixels by d times `unit` times
-        # the focal length, on average over the image and for the frame with the median parallax.
+        # A length in the unit of the poses. In the frame with the median parallax, an inverse depth
+        # d moves pixels by d · unit · focal length on average, px.
         lengths = sorted(mean_parallax(motion, camera, key.shape) for motion in motions)
         self.unit = lengths[len(lengths) // 2]
         # (M, 3, 4) float64: the given motions, with translations divided by `unit`
@@ -66,24 +66,26 @@ class Window:
         self.motions[:, :, 3] /= self.unit
         axes_depth = float(np.median([_axes_meeting_depth(motion) for motion in self.motions]))
         # largest D of the search, px of level 0
-        self.largest = PAIR_DEPTH.max_plane_depth * max(height, width) + camera.focal * axes_depth
-        # the level whose windows are compared last, and the level of the cells
-        self.finest = self.level = 0
-        while height * width >> 2 * self.finest > PAIR_DEPTH.max_plane_pixels:
-            self.finest += 1
-        while height * width >> 2 * self.level > cells or self.level < self.finest:
+        self.max_depth = PAIR_DEPTH.max_plane_depth * max(height, width) + camera.focal * axes_depth
+        # the finest level on which windows are compared, and the level of the cells
+        self.finest_level = self.level = 0
+        while height * width >> 2 * self.finest_level > PAIR_DEPTH.max_plane_pixels:
+            self.finest_level += 1
+        while height * width >> 2 * self.level > cells or self.level < self.finest_level:
             self.level += 1
-        smallest = int(np.log2(max(1, min(key.shape))))
-        levels = min(self.level + DEPTH.coarser_levels + 1, smallest + 1)
-        self.finest, self.level = min(self.finest, levels - 1), min(self.level, levels - 1)
-        # list of list of (h, w) float32: all levels, the finest first, of every frame, the keyframe
-        # first
+        max_level = int(np.log2(max(1, min(key.shape))))
+        levels = min(self.level + DEPTH.coarser_levels + 1, max_level + 1)
+        self.finest_level, self.level = (
+            min(self.finest_level, levels - 1),
+            min(self.level, levels - 1),
+        )
+        # list of list of (h, w) float32: by frame, the keyframe first: all levels, the finest first
         self.frames = [
             gaussian_pyramid(smooth(frame, DEPTH.window_smoothing), 0.5, levels)
             for frame in (key, *others)
         ]
         height, width = self.shape
-        self.used_cells = np.ones((height, width), bool)  # of the keyframe
+        self.used_cells = np.ones((height, width), bool)  # used cells of the keyframe
         if key_mask is not None:
             self.used_cells = _cell_coverage(key_mask, 2**self.level) > 0.5
             self.used_cells = self.used_cells[:height, :width]
@@ -92,13 +94,13 @@ class Window:
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of cells."""
-        height, width = self.frames[0][self.finest].shape
-        stride = 2 ** (self.level - self.finest)
+        height, width = self.frames[0][self.finest_level].shape
+        stride = 2 ** (self.level - self.finest_level)
         return height // stride, width // stride
 
     @property
-    def best(self) -> int:
-        """Number of best frames that a cost is the mean of: half of all, at most `MAX_FRAMES`."""
+    def best_count(self) -> int:
+        """Number of best frames whose mean is the cost: half of all, at most `MAX_FRAMES`."""
         return min((len(self.motions) + 1) // 2, MAX_FRAMES)
 
     def camera_of(self, level: int) -> Camera:
@@ -111,29 +113,29 @@ class Window:
         return np.ascontiguousarray(self.frames[frame][self.level][:height, :width])
 
     def searches(self) -> list[tuple[int, ViewSearch, int]]:
-        """Return the searched levels, the searches, and the sides of their cells, px of the level.
+        """Return (level, search, side of a cell in px of the level) of all searches, in order.
 
-        The cells of a search have half the side of those of the search before. If cells are much
-        larger than pixels of the finest level, the last two searches have the same cells.
+        The side of a cell halves from search to search. If cells are much larger than pixels of the
+        finest level, the last two searches have the same cells.
         """
-        side = 2 ** (self.level - self.finest)
+        side = 2 ** (self.level - self.finest_level)
         last = self.level + 1 if side <= DEPTH.max_cell_side else self.level
         coarser = [
             (level, self._search(level, 1), 1)
             for level in range(self.level + DEPTH.coarser_levels, last - 1, -1)
             if min(self.frames[0][level].shape) >= DEPTH.min_coarse_side
         ]
-        return [*coarser, (self.finest, self.last_search, side)]
+        return [*coarser, (self.finest_level, self.finest_search, side)]
 
     @cached_property
-    def last_search(self) -> ViewSearch:
+    def finest_search(self) -> ViewSearch:
         """The search of the cells with windows of the finest level."""
-        return self._search(self.finest, 2 ** (self.level - self.finest))
+        return self._search(self.finest_level, 2 ** (self.level - self.finest_level))
 
     def _search(self, level: int, stride: int) -> ViewSearch:
-        low, gain, noise = self._grey_scaling
-        density = 0.5 ** (level - self.finest)
-        scaled = [gain * (frame[level] - low) for frame in self.frames]
+        offset, gain, noise = self._grey_scaling
+        density = 0.5 ** (level - self.finest_level)
+        scaled = [gain * (frame[level] - offset) for frame in self.frames]
         frames = [np.clip(frame, 0, MAX_GREY).astype(np.float32) for frame in scaled]
         for levels, mask in zip(frames[1:], self._masks, strict=True):
             if mask is not None:
@@ -144,22 +146,22 @@ class Window:
             frames[0],
             frames[1:],
             self.motions,
-            frame_count=self.best,
+            frame_count=self.best_count,
             stride=stride,
             center=camera.center_for(*frames[0].shape),
             focal=camera.focal,
             noise=max(density * noise, PAIR_DEPTH.min_coarse_noise),
             min_variance=PAIR_DEPTH.min_window_variance,
             min_depth=scale * PAIR_DEPTH.min_plane_depth,
-            max_depth=scale * self.largest,
+            max_depth=scale * self.max_depth,
         )
 
     @cached_property
     def _grey_scaling(self) -> tuple[np.float32, np.float32, float]:
-        """Scaling of grey levels before comparison: the lowest, a factor, and the scaled noise."""
-        finest = [frame[self.finest] for frame in self.frames]
-        low, gain = grey_scale(finest[0], finest[1])
-        return low, gain, float(gain) * max(noise_deviation(frame) for frame in finest)
+        """Scaling of grey levels before comparison: an offset, a factor, and the scaled noise."""
+        finest_frames = [frame[self.finest_level] for frame in self.frames]
+        offset, gain = grey_scale(finest_frames[0], finest_frames[1])
+        return offset, gain, float(gain) * max(noise_deviation(frame) for frame in finest_frames)
 
 
 def mean_parallax(motion: np.ndarray, camera: Camera, shape: tuple[int, ...]) -> float:
@@ -172,7 +174,7 @@ def mean_parallax(motion: np.ndarray, camera: Camera, shape: tuple[int, ...]) ->
 
 
 def _axes_meeting_depth(motion: np.ndarray) -> float:
-    """Return the inverse depth at which the optical axes of two cameras come nearest, or 0."""
+    """Return the inverse depth at which two optical axes have their smallest distance, or 0."""
     axis, translation = motion[:2, 2], motion[:2, 3]
     square = float(translation @ translation)
     return max(0.0, -float(axis @ translation) / square) if square > 0 else 0.0
@@ -184,13 +186,13 @@ def window_planes(window: Window) -> WindowPlanes:
     level, search, _ = searches[0]
     planes = _random_planes(window, search, level)
     side = 0
-    for index, (finer, search, stride) in enumerate(searches):
+    for index, (next_level, search, stride) in enumerate(searches):
         if index:
-            if side > stride * 2**finer:
+            if side > stride * 2**next_level:
                 planes = _halve_cells(planes)
-            planes = _resized(planes, search.shape)
-            planes[..., :3] *= np.float32(2.0 ** (level - finer))
-        level, side = finer, stride * 2**finer
+            planes = _resize_planes(planes, search.shape)
+            planes[..., :3] *= np.float32(2.0 ** (level - next_level))
+        level, side = next_level, stride * 2**next_level
         search.score(planes)
         for search_round in range(DEPTH.search_rounds[min(index, len(DEPTH.search_rounds) - 1)]):
             shrinkage = DEPTH.draw_shrinkage**search_round
@@ -219,11 +221,11 @@ def plane_costs(
     slopes: np.ndarray,  # (2, h, w) float32
 ) -> np.ndarray:
     """Return the costs of the planes of all cells in every frame, (M, h, w) float32."""
-    search = window.last_search
+    search = window.finest_search
     planes = np.zeros((*search.shape, 4), np.float32)
     planes[..., 0] = inverse_depth
     planes[..., 1], planes[..., 2] = slopes
-    planes *= np.float32(2 ** (window.level - window.finest))
+    planes *= np.float32(2 ** (window.level - window.finest_level))
     out = np.empty((search.count, *search.shape), np.float32)
     search.write_costs(planes, out)
     return out
@@ -233,23 +235,23 @@ def _random_planes(window: Window, search: ViewSearch, level: int) -> np.ndarray
     """Return random planes, (h, w, 4) float32."""
     random = np.random.default_rng(0).random((*search.shape, 4), np.float32)
     focal = window.camera_of(level).focal
-    random[..., 0] *= 0.5**level * window.largest
+    random[..., 0] *= 0.5**level * window.max_depth
     random[..., 1:3] = (2 * random[..., 1:3] - 1) * random[..., :1] * (MAX_SLOPE / focal)
     return random
 
 
 def _halve_cells(planes: np.ndarray) -> np.ndarray:
     """Return the planes of cells with half the side."""
-    finer = planes.repeat(2, axis=0).repeat(2, axis=1)
+    cell_planes = planes.repeat(2, axis=0).repeat(2, axis=1)
     for k, axis in ((1, 1), (2, 0)):
-        finer[..., k] *= 0.5
-        offset = np.where(np.arange(finer.shape[axis]) % 2, 0.5, -0.5).astype(np.float32)
-        finer[..., 0] += finer[..., k] * (offset if axis else offset[:, None])
-    return finer
+        cell_planes[..., k] *= 0.5
+        position = np.where(np.arange(cell_planes.shape[axis]) % 2, 0.5, -0.5).astype(np.float32)
+        cell_planes[..., 0] += cell_planes[..., k] * (position if axis else position[:, None])
+    return cell_planes
 
 
-def _resized(planes: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Return planes cut to a size, or with their last row and column repeated up to it."""
+def _resize_planes(planes: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return planes in a size: cropped, or with their last row and column repeated."""
     height, width = shape
     below, right = max(0, height - planes.shape[0]), max(0, width - planes.shape[1])
     if below or right:
@@ -260,9 +262,9 @@ def _resized(planes: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
 def _replace_masked(levels: np.ndarray, mask: np.ndarray) -> None:
     """Replace masked-out pixels by noise, in place."""
     size = levels.shape[::-1]
-    used = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+    is_used = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
     random = np.random.default_rng(MASKED_SEED).random(levels.shape, np.float32)
-    levels[~used] = (MAX_GREY * random)[~used]
+    levels[~is_used] = (MAX_GREY * random)[~is_used]
 
 
 def _cell_coverage(mask: np.ndarray, side: int) -> np.ndarray:
