@@ -24,7 +24,7 @@ from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.folders.result_folder import locked_folder
 from tisfm.fusion.mesh import check_scikit_image
 from tisfm.machine.text import as_size
-from tisfm.reconstruction.chunks.chunk import CHUNK
+from tisfm.reconstruction.chunks.chunk import DEFAULT_CHUNK
 from tisfm.reconstruction.chunks.runs import ChunksRun, ReconstructRun, WholeRun
 from tisfm.reconstruction.progress import DepthOf, Stage, StopReading
 from tisfm.reconstruction.result.calibration import Calibrate
@@ -274,7 +274,7 @@ def _prepared_run(
         source,
         options.output,
         settings,
-        chunk=CHUNK if options.chunk is None else options.chunk,
+        chunk=DEFAULT_CHUNK if options.chunk is None else options.chunk,
         workers=options.workers,
         cluster=options.cluster,
         **shared,

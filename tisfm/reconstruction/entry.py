@@ -162,17 +162,17 @@ def reconstruct(
     >>> absolute_errors(result.poses, film.poses).similarity < 0.05  # m, of 0.78
     True
     """
-    settings = checked_settings(settings)
+    settings = resolve_settings(settings)
     if calibrate in ("focal", "radial") and poses is not None:
         raise InputError(
             f'poses are given and calibrate="{calibrate}": a camera is estimated with the path only'
         )
-    calibrate = checked_calibrate(calibrate, is_known=camera is not None or poses is not None)
+    calibrate = resolve_calibrate(calibrate, is_known=camera is not None or poses is not None)
     if depth_of not in get_args(DepthOf):
         raise InputError(f'depth_of is {depth_of!r}: expected "all", "keyframes" or "none"')
     if depth_of == "none" and poses is not None:
         raise InputError('poses are given and depth_of="none": there is nothing to find')
-    given = None if poses is None else checked_poses(poses)
+    given = None if poses is None else as_trajectory(poses)
     mask, labels = _mask_and_labels(mask, labels, settings)
     of_result = find_result_labels(labels, source)
     sizes = checked_object_sizes(object_sizes)
@@ -200,7 +200,7 @@ def reconstruct(
         poses_of_frames(given, frames.times)
     elif given is not None and given.times is None and frames.count is not None:
         check_pose_count(len(given.poses), len(frames) + 1)
-    camera, stated = checked_camera(camera)
+    camera, stated = resolve_camera(camera)
     if calibrate == "radial" and stated is not None and stated.distortion is not None:
         raise InputError('the camera has distortion, which calibrate="radial" is to find: drop it')
     if calibrate == "focal" and stated is not None and stated.is_tilted:
@@ -279,7 +279,7 @@ def _mask_and_labels(
     return mask, labels
 
 
-def checked_camera(
+def resolve_camera(
     camera: Camera | str | os.PathLike[str] | None,
 ) -> tuple[Camera | Path | None, Camera | None]:
     """Return the camera or the path of its file, and the camera itself."""
@@ -289,7 +289,7 @@ def checked_camera(
     return checked, checked
 
 
-def checked_calibrate(calibrate: Calibrate | None, *, is_known: bool) -> Calibrate:
+def resolve_calibrate(calibrate: Calibrate | None, *, is_known: bool) -> Calibrate:
     """Return the part of the camera to estimate: by default the focal length if it is unknown."""
     if calibrate is None:
         return "nothing" if is_known else "focal"
@@ -298,7 +298,7 @@ def checked_calibrate(calibrate: Calibrate | None, *, is_known: bool) -> Calibra
     return calibrate
 
 
-def checked_settings(
+def resolve_settings(
     settings: Settings | None, motions: Collection[str] = ("camera", "objects")
 ) -> Settings:
     """Return settings for sequences; by default the preset ``"balanced"``.
@@ -320,7 +320,7 @@ def checked_settings(
     return settings
 
 
-def checked_poses(poses: npt.ArrayLike | Trajectory) -> Trajectory:
+def as_trajectory(poses: npt.ArrayLike | Trajectory) -> Trajectory:
     """Return given poses, each rigid or NaN."""
     if isinstance(poses, Trajectory):
         return poses

@@ -34,7 +34,7 @@ from tisfm.sources.frame_reader import SourceWarning, is_integer
 from tisfm.version import __version__
 
 # Default number of frames of a chunk.
-CHUNK = 150
+DEFAULT_CHUNK = 150
 # Smallest allowed number of frames of a chunk.
 MIN_CHUNK = 12
 
@@ -47,8 +47,8 @@ class Span:
     stop: int | None  # number of the first frame after the chunk; None for the end of the source
     count: int  # number of frames
 
-    def of(self, frames: range) -> slice:
-        """Return the slice of the chunk in the selected frames."""
+    def slice_in(self, frames: range) -> slice:
+        """Return the slice of the chunk in the numbers of the selected frames."""
         begin = frames.index(self.start)
         return slice(begin, begin + self.count)
 
@@ -59,21 +59,21 @@ def check_chunk(chunk: int) -> None:
         raise InputError(f"chunk is {chunk!r}: expected a number of frames, at least {MIN_CHUNK}")
 
 
-def overlap_of(chunk: int) -> int:
-    """Return the number of frames that neighbour chunks of a length share."""
+def overlap_length(chunk: int) -> int:
+    """Return the number of frames that neighbour chunks share, by the length of a chunk."""
     return min(CHUNKING.max_overlap, chunk // CHUNKING.overlap_divisor)
 
 
-def spans_of(
+def chunk_spans(
     frames: range,  # numbers of all selected frames in the source
-    stop: int | None,  # the end of the selection, as given; the last chunk ends there
+    stop: int | None,  # end of the selection, as the user gave it; the last chunk ends there
     chunk: int,  # largest number of frames of a chunk
 ) -> list[Span]:
-    """Return the frames of each chunk; their lengths are as equal as possible."""
-    count, overlap = len(frames), overlap_of(chunk)
-    chunks = 1 if count <= chunk else -(-(count - overlap) // (chunk - overlap))
-    begins = [k * (count - overlap) // chunks for k in range(chunks + 1)]
-    if chunks == 1:
+    """Return the frames of each chunk; the lengths of chunks are as equal as possible."""
+    count, overlap = len(frames), overlap_length(chunk)
+    chunk_count = 1 if count <= chunk else -(-(count - overlap) // (chunk - overlap))
+    begins = [k * (count - overlap) // chunk_count for k in range(chunk_count + 1)]
+    if chunk_count == 1:
         begins = [0, count - overlap]
     return [
         Span(
@@ -87,9 +87,9 @@ def spans_of(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chunk:
-    """A chunk, with all that a process needs to reconstruct it."""
+    """A chunk, with all data that a process needs for its reconstruction."""
 
-    folder: Path  # the folder that the chunk is written to, an absolute path
+    folder: Path  # output folder of the chunk, an absolute path
     source: Source  # absolute paths of the source
     span: Span  # the frames of the chunk
     # further arguments of `tisfm.reconstruct` that select frames and their parts
@@ -102,23 +102,23 @@ class Chunk:
     depth_of: DepthOf = "all"
     request_digest: str  # digest of the request of the whole sequence
     listing: Listing  # the files of the frames, as the parent process sees them
-    stop: int | None = None  # number of the frame of the source before which the selection ends
+    stop: int | None = None  # number of the first frame of the source after the selection
     # arch, threads: as for `tisfm.runtime.start`
     arch: Arch | None = None
     threads: int | None = None
-    alive: Path = Path()  # a file that exists as long as the parent process waits for the chunk
-    # lanes of the vectors of the CPU of the parent process
+    presence: Path = Path()  # a file that exists as long as the parent process waits for the chunk
+    # float32 values in a vector register of the parent's CPU
     lanes: int = field(default_factory=runtime.cpu_lanes)
     version: str = __version__  # version of tisfm in the parent process
 
     @property
     def completion_file(self) -> Path:
-        """The file beside its folder that marks it as complete."""
+        """The file beside the chunk's folder that marks the chunk as complete."""
         return self.folder.with_name(f"{self.folder.name}.json")
 
     @property
     def digest(self) -> str:
-        """A digest of everything that the result depends on."""
+        """A digest of all data that determine the result."""
         camera = self.camera
         parts = [
             self.request_digest,
@@ -130,7 +130,7 @@ class Chunk:
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
 
     def is_complete(self) -> bool:
-        """Return whether the chunk is complete, of the same request, with unchanged files."""
+        """Return whether the chunk is complete: its request and its files are unchanged."""
         try:
             record = read_json(self.completion_file)
             return bool(
@@ -140,18 +140,15 @@ class Chunk:
             return False
 
     def with_camera(self, camera: Path) -> "Chunk":
-        """Return the chunk with the camera of a file, which is not calibrated again.
-
-        The file also states whether its focal length is a guess.
-        """
+        """Return the chunk with the camera of a file, and without calibration."""
         return replace(self, camera=camera, calibrate="nothing")
 
 
 def make_chunk(chunk: Chunk) -> Exception | None:
     """Reconstruct a chunk unless it is complete; return an error that the user's input caused."""
     try:
-        own_lanes = runtime.cpu_lanes() if chunk.arch in (None, "cpu") else chunk.lanes
-        check_worker(chunk.version, chunk.alive, lanes=chunk.lanes, own_lanes=own_lanes)
+        worker_lanes = runtime.cpu_lanes() if chunk.arch in (None, "cpu") else chunk.lanes
+        check_worker(chunk.version, chunk.presence, lanes=chunk.lanes, own_lanes=worker_lanes)
         source = FrameSource(chunk.source, stop=chunk.stop)
         chunk.listing.check(source.listing, source.title)
         with _chunk_lock(chunk):
@@ -165,7 +162,7 @@ def make_chunk(chunk: Chunk) -> Exception | None:
 
 @contextmanager
 def _chunk_lock(chunk: Chunk) -> Iterator[None]:
-    """Wait until no other process makes the chunk: an orphaned worker may still do so."""
+    """Wait until no other process makes the chunk, such as an orphaned worker."""
     file = chunk.folder.with_name(f"{chunk.folder.name}.lock")
     remove_link(file)
     lock = FileLock(file)
@@ -187,7 +184,7 @@ def _reconstruct(chunk: Chunk) -> None:
     remove(chunk.folder)
     runtime.start_worker(chunk.arch, threads=chunk.threads)
     with warnings.catch_warnings():
-        for kind in (GuessedFocalWarning, SourceWarning):  # the parent warns once for the whole
+        for kind in (GuessedFocalWarning, SourceWarning):  # the parent warns once
             warnings.simplefilter("ignore", kind)
         reconstruct(
             chunk.source,
@@ -209,5 +206,5 @@ def _reconstruct(chunk: Chunk) -> None:
 
 def _check_parent(chunk: Chunk) -> None:
     """Stop a chunk whose parent process has ended."""
-    if not chunk.alive.exists():
+    if not chunk.presence.exists():
         raise RunError(f"the command that reconstructs {chunk.folder} has ended")

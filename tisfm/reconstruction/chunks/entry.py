@@ -1,4 +1,4 @@
-"""Reconstruction of a sequence in chunks, from the source to the folder, with resumption."""
+"""Reconstruction of a sequence in chunks: from the source to the result folder, new or resumed."""
 
 import os
 import warnings
@@ -23,8 +23,8 @@ from tisfm.folders.result_folder import (
     remove_temporaries,
     try_to_remove,
 )
-from tisfm.reconstruction.chunks.chunk import CHUNK, Chunk, check_chunk, spans_of
-from tisfm.reconstruction.chunks.joining import ChunkResult, place_chunks, write_whole
+from tisfm.reconstruction.chunks.chunk import DEFAULT_CHUNK, Chunk, check_chunk, chunk_spans
+from tisfm.reconstruction.chunks.joining import ChunkResult, place_chunks, write_joined_result
 from tisfm.reconstruction.chunks.shared_camera import (
     UnorderedMap,
     complete_chunks,
@@ -32,11 +32,11 @@ from tisfm.reconstruction.chunks.shared_camera import (
     shared_camera,
 )
 from tisfm.reconstruction.entry import (
-    checked_calibrate,
-    checked_camera,
-    checked_poses,
-    checked_settings,
+    as_trajectory,
     refuse_inputs_inside,
+    resolve_calibrate,
+    resolve_camera,
+    resolve_settings,
 )
 from tisfm.reconstruction.path.given_poses import poses_of_frames
 from tisfm.reconstruction.progress import DepthOf, Progress
@@ -70,7 +70,8 @@ class ChunkedRun:
     source : path, or sequence of paths
         A video, a folder of images, a glob pattern, or image files.
     folder : path
-        The folder of the result. Until it is complete, the chunks lie in its ``.tisfm-chunks``.
+        The folder of the result. Until the result is complete, its subfolder ``.tisfm-chunks`` has
+        the chunks.
     camera, calibrate, settings, poses, depth_of, step, start, stop, size, crop, bad_frames
         As for `tisfm.reconstruct`. The settings need ``motion="camera"``.
     mask : path, optional
@@ -85,13 +86,13 @@ class ChunkedRun:
     Attributes
     ----------
     request : dict
-        Everything that the result depends on: the frames and all options.
+        All data that determine the result: the frames and all options.
 
     Raises
     ------
     OSError, TypeError, ValueError
-        As `tisfm.reconstruct`; if the source is a webcam or arrays; if chunks are too short; if the
-        settings have ``motion="objects"``.
+        As `tisfm.reconstruct`; if the source is a webcam or arrays; if chunks are too short; or if
+        the settings have ``motion="objects"``.
     """
 
     def __init__(
@@ -111,12 +112,12 @@ class ChunkedRun:
         size: int | None = None,
         crop: tuple[int, int, int, int] | None = None,
         bad_frames: BadFrames = "raise",
-        chunk: int = CHUNK,
+        chunk: int = DEFAULT_CHUNK,
         arch: Arch | None = None,
         threads: int | None = None,
         others: Mapping[str, Any] | None = None,
     ) -> None:
-        settings = checked_settings(settings)
+        settings = resolve_settings(settings)
         if settings.motion == "objects":
             raise InputError(
                 'motion is "objects", but chunks do not share the ids of moving objects: '
@@ -128,32 +129,34 @@ class ChunkedRun:
                 f"mask is {type(mask).__name__}: expected a path, which other processes can read"
             )
         source = _absolute_source(source)
-        sources = FrameSource(
+        frame_source = FrameSource(
             source, step=step, start=start, stop=stop, size=size, crop=crop, mask=mask,
             bad_frames=bad_frames,
         )  # fmt: skip
-        _refuse_float_frames(sources)
-        given = None if poses is None else checked_poses(poses)
-        if given is not None and bad_frames == "skip":
+        _refuse_float_frames(frame_source)
+        given_poses = None if poses is None else as_trajectory(poses)
+        if given_poses is not None and bad_frames == "skip":
             raise InputError(
                 'poses are given and bad_frames="skip": poses would not fit the remaining frames'
             )
-        calibrate = checked_calibrate(calibrate, is_known=camera is not None or given is not None)
-        camera, self._known_camera = checked_camera(camera)
+        calibrate = resolve_calibrate(
+            calibrate, is_known=camera is not None or given_poses is not None
+        )
+        camera, self._known_camera = resolve_camera(camera)
         self.folder = Path(folder).absolute()
         files = [camera_file_path(camera)] if isinstance(camera, Path) else []
-        refuse_inputs_inside([*sources.files, *files], self.folder)
-        self._frames, times = _selected_frames(sources)
-        self._notes = [*sources.notes, *filter(None, [times_note(times)])]
+        refuse_inputs_inside([*frame_source.files, *files], self.folder)
+        self._frames, times = _selected_frames(frame_source)
+        self._notes = [*frame_source.notes, *filter(None, [times_note(times)])]
         self._missing: dict[int, Status] = {}
         frame_poses = None
-        if given is not None:
-            frame_poses, self._missing = poses_of_frames(given, times)
+        if given_poses is not None:
+            frame_poses, self._missing = poses_of_frames(given_poses, times)
         self.request = make_request(
-            sources,
+            frame_source,
             camera=camera,
             settings=settings,
-            poses=given,
+            poses=given_poses,
             arch=arch,
             files={"mask": None if mask is None else os.fspath(mask)},
             others={
@@ -173,37 +176,37 @@ class ChunkedRun:
                 camera=camera.absolute() if isinstance(camera, Path) else camera,
                 calibrate=calibrate,
                 settings=settings,
-                poses=None if frame_poses is None else frame_poses[span.of(self._frames)],
+                poses=None if frame_poses is None else frame_poses[span.slice_in(self._frames)],
                 depth_of=depth_of,
                 request_digest=request_digest(self.request),
-                listing=sources.listing,
+                listing=frame_source.listing,
                 stop=stop,
                 arch=arch,
                 threads=threads,
             )
-            for number, span in enumerate(spans_of(self._frames, stop, chunk))
+            for number, span in enumerate(chunk_spans(self._frames, stop, chunk))
         ]  # fmt: skip
 
     def is_done(self) -> bool:
-        """Return whether the folder holds the complete result.
+        """Return whether the folder contains the complete result.
 
-        Raises ValueError if the folder holds a result, or chunks, of another request.
+        Raises ValueError if the folder contains a result, or chunks, of another request.
         """
         chunks = read_request(self.folder / CHUNKS)
         if chunks is None:
             return is_done(self.folder, self.request)
         refuse_differing_request(self.folder, chunks["asked"], self.request)
         whole = read_request(self.folder)
-        same = whole is not None and whole["asked"] == self.request
-        return same and is_done(self.folder, self.request)
+        is_same = whole is not None and whole["asked"] == self.request
+        return is_same and is_done(self.folder, self.request)
 
     def result(
         self,
-        # ``map_unordered(function, items)`` calls a function, which can be pickled, with each item,
-        # in any process. It yields (number of the item, result) in the order in which items finish.
+        # ``map_unordered(function, items)`` calls a function that can be pickled with each item, in
+        # any process. It yields (number of the item, result) in the order in which items finish.
         map_unordered: UnorderedMap,
         *,
-        resume: bool = False,  # keep the complete chunks that lie in the folder
+        resume: bool = False,  # whether to keep complete chunks in the folder
         progress: Progress | None = None,  # as for `tisfm.reconstruct`
     ) -> Reconstruction:
         """Reconstruct the chunks and join them; chunks stay until `finish`.
@@ -212,40 +215,42 @@ class ChunkedRun:
         request.
         """
         warn_notes(self._notes)
-        tell: Progress = progress or (lambda stage, done, total: None)
+        report: Progress = progress or (lambda stage, done, total: None)
         path = make_result_folder(self.folder)
         with locked_folder(path), ExitStack() as stack:
             refuse_others(path)
-            self._begin(path / CHUNKS, resume)
-            alive = stack.enter_context(presence_file(path / CHUNKS))
-            chunks, count = [replace(one, alive=alive) for one in self._chunks], len(self._frames)
-            tell("path", 0, count)
-            calibrated = None  # the result that the camera is from
+            self._prepare_folder(path / CHUNKS, resume)
+            presence = stack.enter_context(presence_file(path / CHUNKS))
+            chunks, count = (
+                [replace(chunk, presence=presence) for chunk in self._chunks],
+                len(self._frames),
+            )
+            report("path", 0, count)
+            camera_result = None  # the result with the camera of all chunks
             if len(chunks) > 1 and needs_calibration(chunks[0], self._known_camera):
                 shared = shared_camera(chunks, map_unordered, path / CHUNKS)
-                calibrated = shared.result
-                chunks = [one.with_camera(shared.camera) for one in chunks]
-            elif (
-                len(chunks) > 1 and self._known_camera is None
-            ):  # guessed from the first chunk alone
+                camera_result = shared.result
+                chunks = [chunk.with_camera(shared.camera) for chunk in chunks]
+            elif len(chunks) > 1 and self._known_camera is None:
+                # Only the first chunk guesses the camera.
                 list(complete_chunks(chunks[:1], map_unordered))
-                guessed = camera_file_path(chunks[0].folder)
-                chunks = [chunks[0], *(one.with_camera(guessed) for one in chunks[1:])]
+                guessed_camera = camera_file_path(chunks[0].folder)
+                chunks = [chunks[0], *(chunk.with_camera(guessed_camera) for chunk in chunks[1:])]
             done = 0
             for number in complete_chunks(chunks, map_unordered):
                 done += chunks[number].span.count
-                tell("depth", min(done, count), count)
+                report("depth", min(done, count), count)
             parts = [
-                ChunkResult.of(Reconstruction.load(one.folder), one.span, self._frames)
-                for one in chunks
+                ChunkResult.from_result(Reconstruction.load(chunk.folder), chunk.span, self._frames)
+                for chunk in chunks
             ]
-            places = place_chunks(parts, are_given=chunks[0].poses is not None)
+            placements = place_chunks(parts, has_given_poses=chunks[0].poses is not None)
             with renewed_locked_folder(path):
-                return write_whole(
+                return write_joined_result(
                     path,
                     parts,
-                    places,
-                    camera=calibrated or parts[0].result,
+                    placements,
+                    camera=camera_result or parts[0].result,
                     missing=self._missing,
                     notes=self._notes,
                 )
@@ -256,11 +261,11 @@ class ChunkedRun:
             write_request(self.folder, self.request)
             try_to_remove(self.folder / CHUNKS)
 
-    def _begin(self, chunks: Path, resume: bool) -> None:
-        remove_link(chunks)  # chunks would be written outside the folder
-        before = read_request(chunks) if resume else None
-        if before is not None:
-            refuse_differing_request(self.folder, before["asked"], self.request)
+    def _prepare_folder(self, chunks: Path, resume: bool) -> None:
+        remove_link(chunks)  # a link would lead outside of the folder
+        earlier = read_request(chunks) if resume else None
+        if earlier is not None:
+            refuse_differing_request(self.folder, earlier["asked"], self.request)
             remove_temporaries(chunks)
             return
         remove(chunks)
@@ -292,7 +297,7 @@ def reconstruct_in_chunks(
 
 
 def _absolute_source(source: Source) -> str | list[str]:
-    """Return a source of files with absolute paths, which other processes can open."""
+    """Return a source of files with absolute paths, so that other processes can open it."""
     if isinstance(source, (str, os.PathLike)):
         name = os.fspath(source)
         if webcam_number(name) is not None and not os.path.exists(name):
@@ -316,8 +321,8 @@ def _selected_frames(source: FrameSource) -> tuple[range, list[float | None]]:
     The number of frames of a video is known only after it is read.
     """
     if source.names is not None:
-        selected = range(len(source.frame_files))[source.chosen]
-        return selected, list(source.times or (None,) * len(selected))
+        frame_range = range(len(source.frame_files))[source.chosen]
+        return frame_range, list(source.times or (None,) * len(frame_range))
     frames_read: list[tuple[int, float | None]] = []
     with closing(source.frames()) as frames:
         for frame in frames:

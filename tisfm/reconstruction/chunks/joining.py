@@ -1,4 +1,7 @@
-"""Joining of chunks: the similarities of their pieces to one world, and the folder of the whole."""
+"""Joining of chunks: similarities from their pieces to worlds, and the folder of the sequence.
+
+A world is a set of pieces in common coordinates. The joined result has one piece for each world.
+"""
 
 import shutil
 from collections.abc import Mapping, Sequence
@@ -26,22 +29,22 @@ class ChunkResult:
     """The result of a chunk."""
 
     result: Reconstruction
-    frames: dict[int, int]  # number of each frame in the result, by its number in the source
+    frames: dict[int, int]  # by the number of a frame in the source: its number in the result
 
     @classmethod
-    def of(cls, result: Reconstruction, span: Span, frames: range) -> "ChunkResult":
-        """Return the result of a chunk, for its span of the selected frames.
+    def from_result(cls, result: Reconstruction, span: Span, frames: range) -> "ChunkResult":
+        """Return the result of a chunk, for the span of the chunk in the selected frames.
 
         Raises ValueError if the result has another number of frames.
         """
         skipped = {index for index, _ in result.skipped}
-        kept = [index for index in frames[span.of(frames)] if index not in skipped]
-        if len(kept) != len(result):
+        indices = [index for index in frames[span.slice_in(frames)] if index not in skipped]
+        if len(indices) != len(result):
             raise InputError(
-                f"{result.folder} has {len(result)} frames, expected {len(kept)}: the source has "
+                f"{result.folder} has {len(result)} frames, expected {len(indices)}: the source has "
                 "changed meanwhile"
             )
-        return cls(result=result, frames={index: number for number, index in enumerate(kept)})
+        return cls(result=result, frames={index: number for number, index in enumerate(indices)})
 
     def piece(self, index: int) -> int:
         """Return the piece of a frame; −1 for none."""
@@ -50,36 +53,35 @@ class ChunkResult:
 
 @dataclass(frozen=True, kw_only=True)
 class ChunkPlacement:
-    """The chunk that a frame of the whole is taken from, and the frame's pose and scale."""
+    """The source of a frame of the joined result: a frame of a chunk; and its pose and scale."""
 
-    # part, number: number of the chunk, and number of the frame in the chunk
-    part: int
-    number: int
-    piece: int  # number of the piece in the whole; −1 for none
+    part: int  # number of the chunk
+    number: int  # number of the frame in the chunk
+    piece: int  # number of the piece in the joined result; −1 for none
     pose: np.ndarray  # (4, 4) float64: camera to world; NaN for a frame without a pose
     scale: float  # factor for the depth of the chunk
 
 
 def place_chunks(
-    parts: Sequence[ChunkResult],  # results in order; each shares frames with the next
+    parts: Sequence[ChunkResult],  # results in order; neighbours share frames
     *,
-    are_given: bool,  # Whether poses were given. All results then have one world and one unit.
+    has_given_poses: bool,  # whether the user gave poses: then all results have one world and unit
 ) -> list[ChunkPlacement]:
-    """Return the placement of every frame of the whole, in order."""
+    """Return the placement of every frame of the joined result, in order."""
     owners = _chunk_of_frames(parts)
     nodes = [(k, piece) for k, part in enumerate(parts) for piece in range(len(part.result.unit))]
-    if are_given:
+    if has_given_poses:
         worlds = [{node: np.eye(4) for node in range(len(nodes))}]
     else:
         worlds = _worlds(parts, nodes)
-    of_node = {nodes[node]: n for n, world in enumerate(worlds) for node in world}
+    world_of_node = {nodes[node]: n for n, world in enumerate(worlds) for node in world}
     similarity = {
         nodes[node]: similarity_of_node
         for world in worlds
         for node, similarity_of_node in world.items()
     }
     pieces: dict[int, int] = {}
-    bases: dict[int, tuple[np.ndarray, float]] = {}  # the first pose of a piece, and its unit
+    bases: dict[int, tuple[np.ndarray, float]] = {}  # by world: its first pose, and its unit
     placements = []
     for index, owner in owners.items():
         part = parts[owner]
@@ -90,13 +92,14 @@ def place_chunks(
                 ChunkPlacement(part=owner, number=number, piece=-1, pose=no_pose, scale=1.0)
             )
             continue
-        world = of_node[node]
+        world = world_of_node[node]
         pose = transform_pose(similarity[node], part.result.poses[number])
         if world not in pieces:
             pieces[world] = len(pieces)
-            unit = _unit_of_world(parts, owners, similarity, of_node, world)
-            is_identity = np.allclose(pose, np.eye(4), atol=1e-12)  # exactly the first frame
-            bases[world] = (np.eye(4) if is_identity or are_given else pose), unit
+            unit = _unit_of_world(parts, owners, similarity, world_of_node, world)
+            # For the first frame of all, the base is an exact identity.
+            is_identity = np.allclose(pose, np.eye(4), atol=1e-12)
+            bases[world] = (np.eye(4) if is_identity or has_given_poses else pose), unit
         base, unit = bases[world]
         pose = np.linalg.solve(base, pose)
         pose[:3, 3] /= unit
@@ -108,7 +111,7 @@ def place_chunks(
 
 
 def _chunk_of_frames(parts: Sequence[ChunkResult]) -> dict[int, int]:
-    """Return the chunk of each frame, by its number in the source, in order."""
+    """Return the number of the chunk of each frame, by the frame's number in the source."""
     owners: dict[int, int] = {}
     cuts = [_first_frame_of_later(before, after) for before, after in pairwise(parts)]
     for k, part in enumerate(parts):
@@ -125,10 +128,10 @@ def _chunk_of_frames(parts: Sequence[ChunkResult]) -> dict[int, int]:
 
 
 def _first_frame_of_later(before: ChunkResult, after: ChunkResult) -> int:
-    """Return the first frame that is taken from the later of two chunks.
+    """Return the first frame that the later of two chunks gives to the joined result.
 
-    It is the keyframe of the later chunk that is nearest to the middle of the shared frames.
-    Without a keyframe in the middle half, it is the middle frame.
+    This is the keyframe of the later chunk that is nearest to the middle of the shared frames.
+    Without a keyframe in the middle half, this is the middle frame.
     """
     shared = sorted(before.frames.keys() & after.frames.keys())
     if not shared:
@@ -145,7 +148,10 @@ def _first_frame_of_later(before: ChunkResult, after: ChunkResult) -> int:
 def _worlds(
     parts: Sequence[ChunkResult], nodes: Sequence[tuple[int, int]]
 ) -> list[dict[int, np.ndarray]]:
-    """Return, for each world, the similarities of its pieces, by their node numbers."""
+    """Return the similarities from pieces to their world, by the indices of `nodes`, per world.
+
+    A node is a chunk and a piece of the chunk.
+    """
     number = {node: n for n, node in enumerate(nodes)}
     overlaps = []
     for k, (before, after) in enumerate(pairwise(parts)):
@@ -175,64 +181,70 @@ def _unit_of_world(
     parts: Sequence[ChunkResult],
     owners: dict[int, int],
     similarity: dict[tuple[int, int], np.ndarray],
-    of_node: dict[tuple[int, int], int],
+    world_of_node: dict[tuple[int, int], int],
     world: int,
 ) -> float:
     """Return the scale of the piece with the first keyframe of a world.
 
     The unit of this piece becomes the unit of the world.
     """
-    own = [
+    world_frames = [
         (owner, index)
         for index, owner in owners.items()
-        if of_node.get((owner, parts[owner].piece(index))) == world
+        if world_of_node.get((owner, parts[owner].piece(index))) == world
     ]
     first = next(
-        (one for one in own if parts[one[0]].frames[one[1]] in parts[one[0]].result.keyframes),
-        own[0],
+        (
+            pair
+            for pair in world_frames
+            if parts[pair[0]].frames[pair[1]] in parts[pair[0]].result.keyframes
+        ),
+        world_frames[0],
     )
     return sim3_scale(similarity[first[0], parts[first[0]].piece(first[1])])
 
 
-def write_whole(
-    folder: Path,  # the folder of the whole, prepared for writing
+def write_joined_result(
+    folder: Path,  # output folder of the joined result, prepared for writing
     parts: Sequence[ChunkResult],
-    places: Sequence[ChunkPlacement],  # placement of each frame of the whole
+    placements: Sequence[ChunkPlacement],  # placement of each frame of the joined result
     *,
-    camera: Reconstruction,  # the result whose camera all chunks share
+    camera: Reconstruction,  # the result with the common camera
     missing: Mapping[int, Status],  # frames without a given pose, and the reasons
     notes: Sequence[str],  # notes on how the source was read
 ) -> Reconstruction:
-    """Write the whole sequence; the chunks stay unchanged."""
+    """Write the joined result; the chunks stay unchanged."""
     first = parts[0].result
-    for frame, place in enumerate(places):
-        source = parts[place.part].result.folder
-        link_or_copy(_picture(source, place.number), _picture(folder, frame))
-        _copy_depth(depth_path(source, place.number), depth_path(folder, frame), place.scale)
+    for frame, placement in enumerate(placements):
+        source = parts[placement.part].result.folder
+        link_or_copy(_picture(source, placement.number), _picture(folder, frame))
+        _copy_depth(
+            depth_path(source, placement.number), depth_path(folder, frame), placement.scale
+        )
     link_or_copy(camera.folder / CAMERA, folder / CAMERA)
     shutil.rmtree(folder / CACHE, ignore_errors=True)
-    results = [parts[place.part].result for place in places]
+    results = [parts[placement.part].result for placement in placements]
     skipped = {index: reason for part in parts for index, reason in part.result.skipped}
     result = Reconstruction(
-        poses=np.array([place.pose for place in places]),
-        piece=np.array([place.piece for place in places], np.int32),
-        unit=(1.0,) * (max(place.piece for place in places) + 1),
-        status=tuple(_statuses(results, places, missing)),
+        poses=np.array([placement.pose for placement in placements]),
+        piece=np.array([placement.piece for placement in placements], np.int32),
+        unit=(1.0,) * (max(placement.piece for placement in placements) + 1),
+        status=tuple(_statuses(results, placements, missing)),
         keyframes=tuple(
             frame
-            for frame, (result_, place) in enumerate(zip(results, places, strict=True))
-            if place.number in result_.keyframes
+            for frame, (part_result, placement) in enumerate(zip(results, placements, strict=True))
+            if placement.number in part_result.keyframes
         ),
         camera=camera.camera,
         calibration=camera.calibration,
         settings=first.settings,
         names=tuple(
-            result_.names[placement.number]
-            for result_, placement in zip(results, places, strict=True)
+            part_result.names[placement.number]
+            for part_result, placement in zip(results, placements, strict=True)
         ),
         times=tuple(
-            result_.times[placement.number]
-            for result_, placement in zip(results, places, strict=True)
+            part_result.times[placement.number]
+            for part_result, placement in zip(results, placements, strict=True)
         ),
         skipped=tuple(sorted(skipped.items())),
         notes=tuple(notes),
@@ -246,17 +258,17 @@ def write_whole(
 
 def _statuses(
     results: Sequence[Reconstruction],
-    places: Sequence[ChunkPlacement],
+    placements: Sequence[ChunkPlacement],
     missing: Mapping[int, Status],
 ) -> list[Status]:
-    """Return the status of each frame; the first frame of a later piece has a note of it."""
+    """Return the status of each frame; the first frame of each later piece gets a note."""
     from tisfm.reconstruction.pipeline import add_piece_note, remove_piece_note
 
     statuses, known_pieces = [], {-1, 0}
-    for frame, (one, place) in enumerate(zip(results, places, strict=True)):
-        status = missing.get(frame, remove_piece_note(one.status[place.number]))
-        if place.piece not in known_pieces:
-            known_pieces.add(place.piece)
+    for frame, (result, placement) in enumerate(zip(results, placements, strict=True)):
+        status = missing.get(frame, remove_piece_note(result.status[placement.number]))
+        if placement.piece not in known_pieces:
+            known_pieces.add(placement.piece)
             status = add_piece_note(status)
         statuses.append(status)
     return statuses
@@ -267,7 +279,7 @@ def _picture(folder: Path, number: int) -> Path:
 
 
 def _copy_depth(source: Path, target: Path, scale: float) -> None:
-    """Copy the depth of a frame, if it has any, with another scale factor and the same values."""
+    """Copy the depth file of a frame, if any, with a changed scale factor and the same values."""
     if not source.exists():
         return
     if scale == 1:

@@ -1,7 +1,7 @@
-"""The similarity between two chunks, from the frames that both have.
+"""The similarity between two chunks, from the frames that both contain.
 
-The rotation is the mean rotation between the poses of these frames. The scale comes from their
-depth, pixel by pixel, and from the camera positions. The scatter of each estimate gives its weight.
+The rotation is the mean rotation between the poses of these frames. The scale comes from the depth
+of their pixels, and from the camera positions. The scatter of each estimate gives its weight.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,17 +15,17 @@ from tisfm.reconstruction.result.folder import depth_path
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 Shared = Sequence[tuple[int, int]]
-"""Numbers of the same frame in two results."""
+"""Shared frames: the numbers of each frame in the first and in the second result."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ChunkOverlap:
-    """The similarity between a piece of one chunk and a piece of the next."""
+    """The similarity between a piece of a chunk and a piece of the next chunk."""
 
     # first, second: numbers of the pieces
     first: int
     second: int
-    # (4, 4) float64: from the coordinates of the second piece to those of the first
+    # (4, 4) float64: from the coordinates of the second piece to the coordinates of the first piece
     similarity: np.ndarray
     frames: int  # number of frames that both pieces share
 
@@ -37,21 +37,18 @@ def overlap_sim3(
 ) -> np.ndarray | None:
     """Return the similarity between two pieces; None if it is unknown.
 
-    Returns (4, 4) float64, from the coordinates of the second result to those of the first; or
-    None.
+    Returns (4, 4) float64, from the coordinates of the second result to the coordinates of the
+    first result; or None.
     """
     poses, others = (
-        one.poses[[pair[k] for pair in shared]] for k, one in enumerate((first, second))
+        result.poses[[pair[k] for pair in shared]] for k, result in enumerate((first, second))
     )
     rotation = mean_rotation(poses, others)
     candidates = (
         scale_from_depth(first, second, shared),
         scale_from_positions(poses, others, rotation),
     )
-    estimates = [
-        one for one in candidates
-        if one is not None
-    ]  # fmt: skip
+    estimates = [estimate for estimate in candidates if estimate is not None]
     if not estimates:
         return None
     logs, deviations = np.array(estimates).T
@@ -68,16 +65,16 @@ def scale_from_positions(
     """Return the logarithm of the scale from camera positions, and its standard deviation."""
     if len(poses) < CHUNKING.min_positions:
         return None
-    own_positions = poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0)
+    positions = poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0)
     other_positions = (others[:, :3, 3] - others[:, :3, 3].mean(axis=0)) @ rotation.T
     spread, other_spread = (
-        float(np.sqrt((one**2).sum())) for one in (own_positions, other_positions)
+        float(np.sqrt((centered**2).sum())) for centered in (positions, other_positions)
     )
     if min(spread, other_spread) == 0:
         return None
-    scale = spread / other_spread  # symmetric: neither chunk is more exact
+    scale = spread / other_spread  # not a least-squares fit, since both chunks are equally exact
     deviation = max(
-        float(np.linalg.norm(own_positions - scale * other_positions)) / spread,
+        float(np.linalg.norm(positions - scale * other_positions)) / spread,
         CHUNKING.min_scale_deviation,
     )
     return None if deviation > CHUNKING.max_scale_deviation else (float(np.log(scale)), deviation)
@@ -88,9 +85,10 @@ def scale_from_depth(
 ) -> tuple[float, float] | None:
     """Return the logarithm of the scale from depth, and its standard deviation."""
     ratio_sets = [
-        _ratios(first, second, shared, pair) for pair in _with_depth(first, second, shared)
+        _depth_ratios(first, second, shared, pair)
+        for pair in _frames_with_depth(first, second, shared)
     ]
-    ratio_sets = [ratios_of_frame for ratios_of_frame in ratio_sets if len(ratios_of_frame)]
+    ratio_sets = [frame_ratios for frame_ratios in ratio_sets if len(frame_ratios)]
     if not ratio_sets:
         return None
     ratios = np.log(np.concatenate(ratio_sets))
@@ -102,65 +100,73 @@ def scale_from_depth(
         < CHUNKING.min_agreeing_share
     ):
         return None
-    medians = np.array([np.median(np.log(ratios_of_frame)) for ratios_of_frame in ratio_sets])
+    medians = np.array([np.median(np.log(frame_ratios)) for frame_ratios in ratio_sets])
     deviation = max(float(np.median(np.abs(medians - scale))), CHUNKING.min_scale_deviation)
     return None if deviation > CHUNKING.max_scale_deviation else (scale, deviation)
 
 
-def _with_depth(
+def _frames_with_depth(
     first: Reconstruction, second: Reconstruction, shared: Shared
 ) -> Iterator[tuple[int, int]]:
-    """Yield frames with depth in the first chunk, each with the nearest such frame in the second.
+    """Yield frames with depth in the first result, and the nearest frame with depth in the second.
 
-    Both are positions in `shared`.
+    Both are indices of `shared`.
     """
-    ours, theirs = (
-        [k for k, pair in enumerate(shared) if depth_path(one.folder, pair[side]).exists()]
-        for side, one in enumerate((first, second))
+    firsts, seconds = (
+        [k for k, pair in enumerate(shared) if depth_path(result.folder, pair[side]).exists()]
+        for side, result in enumerate((first, second))
     )
-    if not ours or not theirs:
+    if not firsts or not seconds:
         return
-    count = min(len(ours), CHUNKING.max_frames)
-    for k in np.unique(np.linspace(0, len(ours) - 1, count).astype(int)):
-        yield ours[k], min(theirs, key=lambda one: (abs(one - ours[k]), one))
+    count = min(len(firsts), CHUNKING.max_frames)
+    for k in np.unique(np.linspace(0, len(firsts) - 1, count).astype(int)):
+        yield (
+            firsts[k],
+            min(seconds, key=lambda index: (abs(index - firsts[k]), index)),
+        )
 
 
-def _ratios(
+def _depth_ratios(
     first: Reconstruction, second: Reconstruction, shared: Shared, pair: tuple[int, int]
 ) -> np.ndarray:
-    """Return the ratios of depth in the first chunk to depth in the second, for some pixels.
+    """Return the ratios of depth in the first result to depth in the second, for some pixels.
 
-    If the frames differ, points of the first chunk's frame are projected into the frame of the
-    second.
+    `pair` has the indices in `shared` of a frame of each result. If the frames differ, the points
+    of the first frame are projected into the second frame.
     """
     height, width = first.shape
     fx, fy = first.camera.focals
     cx, cy = first.camera.center_for(height, width)
-    lens = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    frame, (ours, theirs) = shared[pair[0]][0], shared[pair[1]]
+    intrinsics = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    frame, (first_frame, second_frame) = shared[pair[0]][0], shared[pair[1]]
     step = max(1, int(np.sqrt(height * width / CHUNKING.pixels_per_frame)))
     rows, columns = np.mgrid[step // 2 : height : step, step // 2 : width : step]
     rows, columns = rows.ravel(), columns.ravel()
     depth = _certain_depth(first, frame)[rows, columns]
     pixels = np.stack([columns, rows, np.ones_like(rows)], axis=1)
-    points = depth[:, None] * (pixels @ np.linalg.inv(lens).T)
-    if frame != ours:
-        points = transform_points(np.linalg.solve(first.poses[ours], first.poses[frame]), points)
+    points = depth[:, None] * (pixels @ np.linalg.inv(intrinsics).T)
+    if frame != first_frame:
+        points = transform_points(
+            np.linalg.solve(first.poses[first_frame], first.poses[frame]), points
+        )
         with np.errstate(divide="ignore", invalid="ignore"):
-            projected = (points @ lens.T)[:, :2] / np.where(
+            projected = (points @ intrinsics.T)[:, :2] / np.where(
                 points[:, 2:] > 0, points[:, 2:], np.nan
             )
         columns, rows = np.rint(np.nan_to_num(projected, nan=-1.0).clip(-1, 1e6)).astype(int).T
-    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-    ratio = points[inside, 2] / _certain_depth(second, theirs)[rows[inside], columns[inside]]
+    is_inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    ratio = (
+        points[is_inside, 2]
+        / _certain_depth(second, second_frame)[rows[is_inside], columns[is_inside]]
+    )
     return np.asarray(ratio[np.isfinite(ratio)])
 
 
 def _certain_depth(result: Reconstruction, frame: int) -> np.ndarray:
     """Return the depth of a frame, (H, W) float64; NaN where it is uncertain."""
-    inverse = result.inverse_depth(frame).astype(np.float64)
+    inverse_depth = result.inverse_depth(frame).astype(np.float64)
     with np.errstate(invalid="ignore"):
-        is_certain = (inverse > 0) & (
-            result.inverse_depth_std(frame) < CHUNKING.max_depth_deviation * inverse
+        is_certain = (inverse_depth > 0) & (
+            result.inverse_depth_std(frame) < CHUNKING.max_depth_deviation * inverse_depth
         )
-    return 1 / np.where(is_certain, inverse, np.nan)
+    return 1 / np.where(is_certain, inverse_depth, np.nan)

@@ -1,4 +1,4 @@
-"""Reconstructions that can be resumed: whole in this process, or in chunks by several processes."""
+"""Reconstructions that can be resumed: all frames in one process, or chunks in several."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -31,10 +31,10 @@ from tisfm.threads import usable_cores
 
 
 class ReconstructRun(Protocol):
-    """A reconstruction that is computed unless its folder is complete."""
+    """A reconstruction into a folder, unless the folder is complete."""
 
     def is_done(self) -> bool:
-        """Return whether the folder is complete; InputError if it holds another reconstruction."""
+        """Return whether the folder is complete; InputError if it has another reconstruction."""
 
     def result(self, *, resume: bool, progress: Progress) -> Reconstruction:
         """Compute the result."""
@@ -66,7 +66,7 @@ class WholeRun:
             self._request = self._request_of(others)
 
     def _request_of(self, others: Mapping[str, Any]) -> Request:
-        plain = {k: self._options[k] for k in ("calibrate", "depth_of")}
+        json_options = {k: self._options[k] for k in ("calibrate", "depth_of")}
         sizes = self._options["object_sizes"] or {}
         selection = {
             k: v for k, v in asdict(self._frames).items() if k not in ("start", "stop", "step")
@@ -79,13 +79,13 @@ class WholeRun:
             arch=self._arch,
             files={name: self._options[name] for name in ("mask", "labels")},
             others={
-                **plain, **selection, **others, "chunk": None,
+                **json_options, **selection, **others, "chunk": None,
                 "object_sizes": {str(number): size for number, size in sizes.items()},
             },
         )  # fmt: skip
 
     def is_done(self) -> bool:
-        """Return whether the folder is complete; InputError if it holds another reconstruction."""
+        """Return whether the folder is complete; InputError if it has another reconstruction."""
         if self._request is None:
             raise InputError(
                 f"resume is given, but {self._source} shows other frames now: leave it out"
@@ -129,15 +129,15 @@ class ChunksRun:
         threads: int | None,
         chunk: int,  # largest number of frames of a chunk
         workers: int,  # number of processes
-        cluster: str | None,  # the address of a Dask scheduler, whose workers compute instead
+        cluster: str | None,  # address of a Dask scheduler, whose workers replace these processes
     ) -> None:
-        accepted = {k: v for k, v in options.items() if k not in ("labels", "object_sizes")}
+        chunk_options = {k: v for k, v in options.items() if k not in ("labels", "object_sizes")}
         if workers > 1 and cluster is None:  # each process gets its share of the cores
             threads = threads or max(1, usable_cores() // workers)
         self._run = ChunkedRun(
             source,
             folder,
-            **accepted,
+            **chunk_options,
             **asdict(frames),
             chunk=chunk,
             arch=arch,
@@ -147,11 +147,11 @@ class ChunksRun:
         self._workers, self._cluster = workers, cluster
 
     def is_done(self) -> bool:
-        """Return whether the folder is complete; InputError if it holds another reconstruction."""
+        """Return whether the folder is complete; InputError if it has another reconstruction."""
         return self._run.is_done()
 
     def result(self, *, resume: bool, progress: Progress) -> Reconstruction:
-        """Compute the chunks that are missing, and join all chunks."""
+        """Compute the missing chunks, and join all chunks."""
         with _open_map(self._workers, self._cluster) as map_unordered:
             return self._run.result(map_unordered, resume=resume, progress=progress)
 
@@ -162,7 +162,7 @@ class ChunksRun:
 
 @contextmanager
 def _open_map(workers: int, cluster: str | None) -> Iterator[UnorderedMap]:
-    """Yield a function that calls another one with every item, here or in other processes."""
+    """Yield a map: it calls a function with every item, in this process or in other processes."""
     if workers == 1 and cluster is None:
         yield _map_here
         return

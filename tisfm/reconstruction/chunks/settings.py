@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class ChunkSettings:
-    """Chunks of a sequence, and their joining."""
+    """Lengths, scales and the camera of chunks."""
 
     # chunk
-    max_overlap: int = 20  # frames that a chunk shares with the next one
+    max_overlap: int = 20  # frames that a chunk shares with the next chunk
     overlap_divisor: int = 3  # a short chunk shares fewer frames: its length divided by this number
-    # overlaps; scales are logarithms
-    # relative standard deviation of depth: less certain depth is ignored
+    # overlaps: differences and standard deviations of scales are those of their logarithms
+    # relative standard deviation of depth; less certain depth is ignored
     max_depth_deviation: float = 0.25
     max_frames: int = 20  # shared frames whose depth is compared
     pixels_per_frame: int = 1500  # approximate number of compared pixels in each of these frames
@@ -19,13 +19,13 @@ class ChunkSettings:
     min_agreeing_share: float = 0.5  # share of these pixels that have to agree on the scale
     max_scale_difference: float = 0.1  # difference of scales within which pixels agree
     min_positions: int = 4  # camera positions for an estimate of the scale
-    # standard deviation of the scale: a less certain estimate is ignored
+    # standard deviation of the scale; a less certain estimate is ignored
     max_scale_deviation: float = 0.1
-    # standard deviation of the scale: depth and positions drift along a chunk, so no estimate is
-    # more certain
+    # standard deviation of the scale; depth and positions drift along a chunk, which limits the
+    # certainty of every estimate
     min_scale_deviation: float = 0.01
     # shared_camera
-    max_tried_chunks: int = 8  # chunks that are searched for the focal length
+    max_tried_chunks: int = 8  # chunks whose frames may give the focal length
 
 
 CHUNKING = ChunkSettings()

@@ -1,4 +1,4 @@
-"""The camera that all chunks share, found with one chunk before the others are reconstructed."""
+"""The common camera of all chunks, found with some chunks before all are reconstructed."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -19,16 +19,16 @@ UnorderedMap = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[tuple[in
 
 @dataclass(frozen=True, kw_only=True)
 class SharedCamera:
-    """A camera for all chunks, and the result from which it was found."""
+    """A camera for all chunks, and the result that contains this camera."""
 
-    # Its file, for the frames of the source. The readout time is known; the file states whether the
-    # focal length is a guess.
+    # camera file, for the frames of the source; its readout time is known, and it states whether
+    # the focal length is a guess
     camera: Path
     result: Reconstruction  # a path without depth
 
 
 def needs_calibration(chunk: Chunk, camera: Camera | None) -> bool:
-    """Return whether a part of the camera has to be found from the frames."""
+    """Return whether any parameter of the camera has to be estimated from the frames."""
     if chunk.poses is not None:
         return False
     return chunk.calibrate != "nothing" or camera is None or camera.readout is None
@@ -37,9 +37,9 @@ def needs_calibration(chunk: Chunk, camera: Camera | None) -> bool:
 def shared_camera(
     chunks: Sequence[Chunk],  # all chunks, before the camera is known
     map_unordered: UnorderedMap,
-    folder: Path,  # the folder for the file of the camera and for the paths that it is found from
+    folder: Path,  # folder for the camera file and for the camera paths of tried chunks
 ) -> SharedCamera:
-    """Find the camera from the first chunk, or from other chunks if the first one fails.
+    """Find the camera from the first chunk, or from other chunks if the first chunk fails.
 
     Raises Exception: as `tisfm.reconstruct`.
     """
@@ -51,18 +51,18 @@ def shared_camera(
     if not results[0].calibration.seen and others:
         count = min(CHUNKING.max_tried_chunks - 1, len(others))
         indices = np.unique(np.linspace(0, len(others) - 1, count).astype(int))
-        tried = [others[number] for number in indices]
+        candidates = [others[number] for number in indices]
         results += [
             result
             for _, result in sorted(
-                _complete_results(tried, map_unordered), key=lambda result: result[0]
+                _complete_results(candidates, map_unordered), key=lambda result: result[0]
             )
         ]
     best = next((result for result in results if result.calibration.seen), None)
     if best is None:
         best = min(results, key=_relative_deviation)
     camera, record = read_camera(best.folder), read_camera_record(best.folder)
-    if camera.readout is None:  # no readout was found: chunks must not search again
+    if camera.readout is None:  # unknown: chunks must not search again
         camera = replace(camera, readout=0.0)
     shape = record["height"], record["width"]
     write_camera(folder / NAME, camera, shape, about=record)
@@ -83,7 +83,7 @@ def _complete_results(
 
 
 def complete_chunks(chunks: Sequence[Chunk], map_unordered: UnorderedMap) -> Iterator[int]:
-    """Make the incomplete chunks; yield their numbers as they become complete.
+    """Make the incomplete chunks; yield the numbers of all chunks as they become complete.
 
     Raises Exception: as `tisfm.reconstruct`.
     """

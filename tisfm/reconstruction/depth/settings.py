@@ -30,13 +30,11 @@ class DepthSettings:
     draw_tilt: float = 0.05  # px per px: spread of the slopes of drawn planes
     draw_shrinkage: float = 0.6  # factor of both spreads from round to round
     max_cost: float = 0.25  # matching cost of a reliable match
-    min_region: int = (
-        200  # px: smallest region of reliable matches; neighbours differ by at most 1 px in D
-    )
+    # px: smallest region of reliable matches; neighbours differ by at most 1 px in D
+    min_region: int = 200
     # match_deviation
-    inner_side: int = (
-        5  # cells: side of the square that gives a cell's certainty; matched windows have 11
-    )
+    # cells: side of the square that gives a cell's certainty; matched windows have 11
+    inner_side: int = 5
     # Cells: standard deviation of D at which a match has half the weight. Chosen on rendered
     # scenes: such matches have an error of 0.3 cells, and a tenth of them of 1 cell. More certain
     # matches have an error of 0.1 cells, and a fiftieth of them of 1 cell.
@@ -55,9 +53,8 @@ class DepthSettings:
     # pairs, since matches are more certain. A larger number smooths a floor into the walls.
     slope_scale: float = 0.0009
     image_edges: float = 10.0  # weight of image edges in the smoothness
-    data_texture: float = (
-        1000.0  # grey variance over noise variance, for half the weight of the data term
-    )
+    # grey variance over noise variance, for half the weight of the data term
+    data_texture: float = 1000.0
     warps: int = 3
     iterations: int = 1  # iterations of each warp
     max_depth_factor: float = 2.0  # largest propagated depth over the largest matched depth
@@ -77,9 +74,8 @@ class DepthSettings:
     averaging_window: tuple[int, int] = (15, 15)
     # segment_depth
     min_keyframe_motion: float = 0.1  # longer sides: motion of tracks between keyframes
-    min_kept_tracks: float = (
-        0.25  # share of a keyframe's tracks: with fewer, there is a new keyframe
-    )
+    # share of a keyframe's tracks: with fewer, there is a new keyframe
+    min_kept_tracks: float = 0.25
     compare_stride: int = 2  # px between the pixels on which keyframes are compared
     # px between rendered pixels, in frames between keyframes
     render_stride: tuple[int, int, int] = (2, 1, 1)
@@ -96,9 +92,8 @@ class DepthSettings:
     difference_limit: float = 0.5  # limit of the difference at a single pixel
     # weight of the median of all differences, over the weight of a full window
     median_weight: float = 0.02
-    filled_deviation: float = (
-        0.5  # standard deviation in a filled hole, as a share of the inverse depth
-    )
+    # standard deviation in a filled hole, as a share of the inverse depth
+    filled_deviation: float = 0.5
     max_fill_cells: int = 2**13  # cells of the grid on which holes are filled
     fill_median: float = 20.0  # cell sides: median inverse depth on this grid
     # step between neighbour pixels on two surfaces, for the alignment of edges
@@ -110,17 +105,15 @@ class DepthSettings:
     # grey variance over the variance of the noise, at which a pixel has half the weight
     adjust_texture: float = 50.0
     texture_window: int = 11  # px: side of the window of this variance
-    outlier_scale: float = (
-        3.0  # residual with a quarter of the weight, over the root of the median square
-    )
+    # residual with a quarter of the weight, over the root of the median square
+    outlier_scale: float = 3.0
     # relative standard deviation of depth at which a pixel has half the weight
     half_weight_deviation: float = 0.05
     depth_damping: float = 1e-3  # damping of a depth step, as a share of a pixel's mean data term
     pose_damping: float = 1e-3  # damping of a pose step, as a share of the diagonal of the system
     depth_window: int = 9  # px: side of the window that averages the steps of depth
-    max_depth_step: float = (
-        0.1  # largest step of a pixel's inverse depth, as a share of this inverse depth
-    )
+    # largest step of a pixel's inverse depth, as a share of this inverse depth
+    max_depth_step: float = 0.1
     adjust_rounds: int = 2  # Gauss–Newton steps
     max_adjust_frames: int = 200  # frames in one system of equations
 

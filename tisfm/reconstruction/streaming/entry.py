@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tisfm.camera import Camera
 from tisfm.errors import InputError, InputTypeError
-from tisfm.reconstruction.entry import checked_calibrate, checked_camera, checked_settings
+from tisfm.reconstruction.entry import resolve_calibrate, resolve_camera, resolve_settings
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.streaming.streamed_frame import StreamedFrame
 from tisfm.settings import Settings
@@ -90,13 +90,13 @@ def reconstruct_stream(
     >>> frame.index
     6
     """
-    settings = checked_settings(settings, ("camera",))
-    calibrate = checked_calibrate(calibrate, is_known=camera is not None)
+    settings = resolve_settings(settings, ("camera",))
+    calibrate = resolve_calibrate(calibrate, is_known=camera is not None)
     if calibrate == "radial":
         raise InputError(
             'calibrate is "radial": distortion is found from a whole sequence, by tisfm.reconstruct'
         )
-    camera, _ = checked_camera(camera)
+    camera, _ = resolve_camera(camera)
     if not is_integer(delay):
         raise InputTypeError(f"delay is {delay!r}: expected a whole number of frames")
     if delay < MIN_DELAY:
