@@ -41,8 +41,8 @@ class ChunkResult:
         indices = [index for index in frames[span.slice_in(frames)] if index not in skipped]
         if len(indices) != len(result):
             raise InputError(
-                f"{result.folder} has {len(result)} frames, expected {len(indices)}: the source has "
-                "changed meanwhile"
+                f"{result.folder} has {len(result)} frames, expected {len(indices)}: the source "
+                "has changed meanwhile"
             )
         return cls(result=result, frames={index: number for number, index in enumerate(indices)})
 
