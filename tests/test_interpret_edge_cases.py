@@ -11,7 +11,7 @@ import tisfm
 from tisfm import scenes
 from tisfm.frames import MAX_GREY
 from tisfm.motion.frame_agreement import unrelated_status
-from tisfm.motion.window_statistics import warped
+from tisfm.motion.window_statistics import warp_image
 from tisfm.rigid import pose_matrix
 
 PRESETS = ("paper", "fast", "balanced", "accurate")
@@ -100,7 +100,7 @@ def test_frames_are_interpolated_linearly_between_pixels():
         borderMode=cv2.BORDER_REPLICATE,
     )
     # OpenCV may round positions to 1/32 px: the steps of this frame are below 100 grey levels.
-    np.testing.assert_allclose(warped(frame, flow), moved, atol=100 / 32)
+    np.testing.assert_allclose(warp_image(frame, flow), moved, atol=100 / 32)
 
 
 @pytest.mark.parametrize(

@@ -111,6 +111,6 @@ def test_noise_deviation(deviation):
     striped = noisy.copy()
     # Texture in every second block.
     striped[:, 16::32] += 30 * rng.normal(size=striped[:, 16::32].shape)
-    assert noise_deviation(striped, every=2) != noise_deviation(striped)
+    assert noise_deviation(striped, stride=2) != noise_deviation(striped)
     texture = rng.uniform(0, 255, frame.shape).astype(np.float32)
     assert noise_deviation(texture) == DEPTH.max_noise

@@ -220,7 +220,7 @@ def start_of(scene, monkeypatch, entries=2**25):
     motion = np.column_stack([rotation, translation / np.linalg.norm(translation)])
     flow = (scene.flow[::2, ::2] / 2).astype(np.float32)
     trust = np.ones(flow.shape[:2], np.float32)
-    return tisfm.motion.plane_sweep.PlaneSweep(pyramid, motion, 1, flow, trust).start()
+    return tisfm.motion.plane_sweep.PlaneSweep(pyramid, motion, 1, flow, trust).initial_depth()
 
 
 def test_little_parallax_needs_no_sweep(monkeypatch):

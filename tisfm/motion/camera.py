@@ -56,7 +56,7 @@ def camera_estimate(
         unit = None if pose.translation is None else float(np.linalg.norm(pose.translation))
     motions = scaled_translations(start.matrix[None], labels, camera)
     sweep = PlaneSweep(
-        pyramid, motions[0], start.level, start.flow, start.trust, is_known=unit is not None
+        pyramid, motions[0], start.level, start.flow, start.trust, is_motion_known=unit is not None
     )
 
     def estimate_jointly(last: int, warps: int | None = None) -> RigidSolution:
@@ -67,37 +67,37 @@ def camera_estimate(
             labels,
             last=last,
             refine=refine,
-            start=sweep.start(),
+            start=sweep.initial_depth(),
             warps=warps,
         )
 
     solution: RigidSolution | None = None
-    low, high = sweep.range
+    low, high = sweep.depth_range
     has_parallax = high - low >= DEPTH.min_carried_range * max(pyramid.shape)
-    textureless = (
+    noisy_share = (
         textureless_share(pyramid.frames0[level], pyramid.valid0(level)) if has_parallax else 0.0
     )
     joint_solution: RigidSolution | None = None
-    if textureless >= DEPTH.min_textureless_share:
+    if noisy_share >= DEPTH.min_textureless_share:
         precise_motions = motions
         if refine != "none" and not start.uses_matches:
-            if textureless < DEPTH.max_textureless_in_refinement:
+            if noisy_share < DEPTH.max_textureless_in_refinement:
                 joint_solution = estimate_jointly(level)
                 precise_motions = joint_solution.motions
             else:
                 precise_motions, doubt = _refit_on_finer_flow(pyramid, settings, start, pose)
-                # the finer decides
+                # the finer flow field decides whether depth is uncertain
                 first_doubt = None if start.doubt == "uncertain" else start.doubt
                 start = replace(start, doubt=first_doubt or doubt)
         solution = textureless_depth(pyramid, settings, precise_motions[0])
     flow_residual = 0.0  # the deviation of carried depth includes this residual
     if solution is None:
-        # A sweep may be finer than the last level. Its depth is near the solution: few warps do.
-        finest = sweep.finest if sweep.is_needed else level
+        # A sweep may run on a finer level than the last; it starts near the solution: few warps do.
+        last = sweep.finest_level if sweep.is_needed else level
         warps = settings.warps if unit is None else None
         solution = (
-            estimate_jointly(finest, warps)
-            if finest < level
+            estimate_jointly(last, warps)
+            if last < level
             else joint_solution or estimate_jointly(level)
         )
         flow_residual = start.residual
@@ -117,9 +117,10 @@ def camera_estimate(
 def _refit_on_finer_flow(
     pyramid: ImagePyramid, settings: Settings, start: FirstMotion, pose: KnownPose | None
 ) -> tuple[np.ndarray, Status | None]:
-    """Return the motion of a flow field on the last level, else the first motion, and a doubt.
+    """Return the motion of a flow field on the last level, and the doubt about this motion.
 
-    Depth carried across textureless surfaces does not refine the motion, so it has to be right.
+    The first motion stays if this flow field shows no motion. Depth carried across textureless
+    surfaces does not refine the motion, so the motion has to be right.
     """
     pixels = pyramid.frames0[pyramid.last].size
     initial_pose = start.rotation, start.translation
@@ -132,7 +133,7 @@ def _refit_on_finer_flow(
 def first_motion_estimate(
     pyramid: ImagePyramid, settings: Settings, start: FirstMotion, status: Status, *, level: int
 ) -> Estimate:
-    """Return the estimate of a first motion without visible depth, with the reason as status."""
+    """Return the estimate of a first motion without depth; `status` says why there is no depth."""
     estimate = make_depthless_estimate(
         pyramid,
         settings,

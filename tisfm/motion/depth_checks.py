@@ -11,8 +11,8 @@ from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.status import Status
 from tisfm.visibility.confidence import median
 
-SAMPLE_STEP = 3  # px: one of as many rows and columns is used
-# Statuses to which a change of brightness may have led.
+SAMPLE_STEP = 3  # px: every third row and column is used
+# Statuses that a change of brightness may cause.
 DOUBTFUL_STATUSES = (
     "uncertain", "little_parallax", "pure_rotation", "two_motions", "behind_camera", "unexplained",
     "unrelated", "diverged",
@@ -43,11 +43,11 @@ def _behind_status(estimate: Estimate, visible: np.ndarray) -> Status | None:
     assert estimate.inverse_depth_std is not None
     sample = np.s_[::SAMPLE_STEP, ::SAMPLE_STEP]
     visible = visible[sample]
-    negative = np.count_nonzero((estimate.inverse_depth[sample] < 0) & visible)
-    if negative <= CHECKS.max_behind_share * np.count_nonzero(visible):
+    negative_count = np.count_nonzero((estimate.inverse_depth[sample] < 0) & visible)
+    if negative_count <= CHECKS.max_behind_share * np.count_nonzero(visible):
         return None
     inverse_depth = estimate.inverse_depth[sample][visible]
-    # Without the part of the deviation that all pixels share.
+    # This deviation does not contain the errors that all pixels share.
     deviation = estimate.inverse_depth_std[sample][visible] / np.float32(estimate.deviation_factor)
     min_depth = np.float32(CHECKS.min_behind_depth) * median(np.abs(inverse_depth))
     share = (
@@ -94,22 +94,21 @@ def _unexplained_status(
     level, start_flow = estimate.start_level, estimate.start_flow
     assert start_flow is not None
     frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
-    size, area = frame0.shape[::-1], cv2.INTER_AREA
-    flow = cv2.merge([cv2.resize(part, size, interpolation=area) for part in estimate.flow])
+    size, mode = frame0.shape[::-1], cv2.INTER_AREA
+    flow = cv2.merge([cv2.resize(part, size, interpolation=mode) for part in estimate.flow])
     correlations = correlation(frame0, frame1, flow * np.float32(pyramid.scales[level]))
     visible = (
-        cv2.resize(hidden.astype(np.float32), size, interpolation=area) < CHECKS.max_hidden_share
+        cv2.resize(hidden.astype(np.float32), size, interpolation=mode) < CHECKS.max_hidden_share
     )
     weight = np.where(visible, texture(frame0), 0)
     max_weight = CHECKS.max_unexplained_share * float(weight.sum())
-    if (
-        float(weight[correlations < 1 - CHECKS.min_correlation_gain].sum()) <= max_weight
-    ):  # no flow can be better by as much
+    # A correlation is at most 1, so elsewhere no flow can be better by `min_correlation_gain`.
+    if float(weight[correlations < 1 - CHECKS.min_correlation_gain].sum()) <= max_weight:
         return None
     is_worse = correlation(frame0, frame1, start_flow) > correlations + np.float32(
         CHECKS.min_correlation_gain
     )
-    if estimate.uses_matches:  # then the flow itself follows from the motion
+    if estimate.uses_matches:  # then `start_flow` itself follows from the motion
         is_worse |= correlations < CHECKS.min_correlation
     worse_weight = float(weight[is_worse].sum())
     if worse_weight <= max_weight:
@@ -125,10 +124,10 @@ def _unexplained_status(
 
 def pose_status(
     residual: float,  # distance of the flow from the pose's epipolar lines, px of the finest level
-    best_residual: float,  # the same for the motion that fits best
+    best_residual: float,  # this distance for the motion that fits best, px
     *,
-    inverse_residual: float
-    | None = None,  # the same for the inverse of the pose; None for a rotation alone
+    # this distance for the inverse of the pose, px; None for a rotation alone
+    inverse_residual: float | None = None,
 ) -> Status | None:
     """Return the status of a given pose that contradicts a flow, None for others."""
     max_residual = CHECKS.max_pose_ratio * max(best_residual, CHECKS.min_pose_distance)
@@ -149,25 +148,25 @@ def pose_status(
 
 
 def with_brightness_advice(status: Status, pyramid: ImagePyramid, settings: Settings) -> Status:
-    """Return a status whose message also says which frame is brighter, if that may be the reason.
+    """Return a status; if brightness may be the reason, its message also names the brighter frame.
 
-    The code stays: a scene may be brighter from another position.
+    The code of the status stays: a scene may be brighter from another position.
     """
     if status not in DOUBTFUL_STATUSES:
         return status
     mean0, mean1 = (float(frames[-1].mean()) for frames in (pyramid.frames0, pyramid.frames1))
-    dark, bright = sorted((mean0, mean1))
-    if not CHECKS.min_brightness_ratio * dark <= bright < np.inf or dark <= 0:
+    min_mean, max_mean = sorted((mean0, mean1))
+    if not CHECKS.min_brightness_ratio * min_mean <= max_mean < np.inf or min_mean <= 0:
         return status
-    brighter, other = (1, 0) if mean1 > mean0 else (0, 1)
-    times = bright / dark
+    brighter, darker = (1, 0) if mean1 > mean0 else (0, 1)
+    ratio = max_mean / min_mean
     advice = "bring both frames to one brightness"
     weights = ["brightness"] if settings.motion == "field" else ["brightness", "depth_brightness"]
-    in_use = [name for name in weights if getattr(settings, name) > 0]
-    if in_use and settings.gradient > 0:  # the gradient is left then
-        advice += ", or set " + " and ".join(f"{name}=0" for name in in_use)
+    used_weights = [name for name in weights if getattr(settings, name) > 0]
+    if used_weights and settings.gradient > 0:  # the data term then keeps the gradient
+        advice += ", or set " + " and ".join(f"{name}=0" for name in used_weights)
     return Status(
         status,
-        f"{status.message}. Frame {brighter} is {times:.3g} times as bright as frame {other}: if "
+        f"{status.message}. Frame {brighter} is {ratio:.3g} times as bright as frame {darker}: if "
         f"light or exposure changed, {advice}",
     )

@@ -84,8 +84,8 @@ def camera_motion(
     The robust distances from epipolar lines, weighted by confidence, are minimised over rotation
     and direction of translation. The starts are essential matrices by random sampling (USAC) and
     translations along each axis. The smaller of the two rotations of an essential matrix is taken,
-    because frames are close in time. The best result is kept, with the sign of t that puts the
-    scene in front of the camera.
+    because frames are close in time. The result has the least cost, and the sign of t that puts
+    the scene in front of the camera.
 
     Parameters
     ----------
@@ -97,9 +97,9 @@ def camera_motion(
         Without distortion: the camera of the result that has the flow.
     rotation : (3, 3) array, optional
         R, if known: then only the direction of translation is fitted.
-    near : (3, 3) array, optional
-        A rotation that is likely near R, for parts of an image that are too small to tell rotation
-        from translation.
+    likely_rotation : (3, 3) array, optional
+        A rotation that is probably close to R, for parts of an image that are too small to tell
+        rotation from translation.
 
     Returns
     -------
@@ -176,12 +176,12 @@ def deviation_from_pose(
     rotation: np.ndarray,
     translation: np.ndarray,
 ) -> float:  # robust standard deviation, px
-    """Return the distance of a flow from the points that a known motion allows.
+    """Return the distance of a flow from the epipolar lines of a known motion.
 
-    If the nearest point of the epipolar line lies behind the camera, the distance from the line's
-    end, the point at infinity, counts.
+    If the nearest point of a line lies behind the camera, the distance from the end of the line,
+    the point at infinity, is used.
 
-    Raises TooFewPixelsError: a ValueError: if too few pixels are trusted.
+    Raises TooFewPixelsError, a ValueError, if too few pixels are trusted.
     """
     rays = sample_rays(flow, confidence, camera)
     points = nearest_points(rays, rotation, translation / np.linalg.norm(translation))
@@ -229,14 +229,14 @@ def sample_rays(flow: np.ndarray, confidence: np.ndarray, camera: Camera) -> Ray
 
 
 def _best_start(rays: Rays, rotation: np.ndarray | None, unknowns: FreeUnknowns) -> Pose:
-    """Return the motion of least cost after refining several starts on a part of the rays.
+    """Return the motion of least cost after several starts were refined on a part of the rays.
 
     If `rotation` is given, all starts have this rotation.
     """
     sample = rays.subsample(max(1, rays.trust.size // EGOMOTION.start_samples))
     if (
         sample.is_confident.sum() < EGOMOTION.min_confident_samples
-    ):  # the confident rays lie in a small part of the image
+    ):  # the sample misses the confident rays
         sample = rays
     starts = (
         _initial_poses(sample)
@@ -265,7 +265,6 @@ def _initial_poses(rays: Rays) -> list[Pose]:
 def _initial_translations(rays: Rays, rotation: np.ndarray) -> list[Pose]:
     """Return initial poses for a known rotation: translations along axes, and a linear fit."""
     after = np.vstack([rays.after, np.ones(rays.trust.size)])
-    # Normals of epipolar planes.
-    normal = np.cross(rotation @ rays.before, after, axis=0) * rays.trust
-    axes, _, _ = np.linalg.svd(normal, full_matrices=False)
+    normals = np.cross(rotation @ rays.before, after, axis=0) * rays.trust
+    axes, _, _ = np.linalg.svd(normals, full_matrices=False)
     return [(rotation, axis) for axis in (*np.eye(3), axes[:, -1])]

@@ -10,9 +10,9 @@ from tisfm.motion.settings import EGOMOTION
 from tisfm.visibility.confidence import median
 
 MAD_TO_DEVIATION = 1.4826  # standard deviation of a normal distribution over its median distance
-MIN_STIFFNESS = 1e-9  # of the trace of normal equations, added to their diagonal
+MIN_STIFFNESS = 1e-9  # share of the trace of normal equations that is added to their diagonal
 MIN_TRACE = 1e-30  # of normal equations
-# Least divisors: lengths and squares of normalised vectors, and a median normalised displacement.
+# Smallest divisors: length and square of a normalised vector, and a median normalised displacement
 MIN_LENGTH = 1e-9
 MIN_SQUARE = 1e-18
 MIN_DISPLACEMENT = 1e-12
@@ -51,7 +51,7 @@ class Rays:
 class EpipolarPoints:
     """The points of epipolar lines that are nearest to the rays of frame 1, (N,) each."""
 
-    inverse_depth: np.ndarray  # inverse depth d in frame 0 of the point
+    inverse_depth: np.ndarray  # inverse depth d of the point in frame 0
     # x, y, nearness: normalised coordinates of the point R x̂ + d t, and 1 over its third component
     x: np.ndarray
     y: np.ndarray
@@ -83,25 +83,27 @@ def rotation_prior(
 
 
 def fix_scale(
-    normal: np.ndarray,  # (6, 6)
+    matrix: np.ndarray,  # (6, 6): matrix of normal equations for a step in (t, ω)
     direction: np.ndarray,  # (3,): direction of t, of length 1
 ) -> np.ndarray:
-    """Return the normal equations of a step in (t, ω), made regular.
+    """Return a regular matrix of normal equations.
 
-    A step along t changes the scale, which the data do not determine, so it is held.
+    A step along t changes the scale. The data do not determine the scale, so added terms keep it.
     """
     scale_direction = np.concatenate([direction, np.zeros(3)])
     regularisation = np.outer(scale_direction, scale_direction) + MIN_STIFFNESS * np.eye(6)
-    return normal + (np.trace(normal) + MIN_TRACE) * regularisation
+    return matrix + (np.trace(matrix) + MIN_TRACE) * regularisation
 
 
-def triangulate_rays(rotated: np.ndarray, after: np.ndarray, translation: np.ndarray) -> np.ndarray:
+def triangulate_rays(
+    rotated_rays: np.ndarray, after: np.ndarray, translation: np.ndarray
+) -> np.ndarray:
     """Return the inverse depth, (N,), that moves R x̂, (3, N), nearest to the rays (2, N)."""
     # With p = R x̂ + d t, x̂₁ p₃ = p₁ and ŷ₁ p₃ = p₂ are linear in d.
     slope_x = translation[0] - after[0] * translation[2]
     slope_y = translation[1] - after[1] * translation[2]
-    numerator = (after[0] * rotated[2] - rotated[0]) * slope_x
-    numerator += (after[1] * rotated[2] - rotated[1]) * slope_y
+    numerator = (after[0] * rotated_rays[2] - rotated_rays[0]) * slope_x
+    numerator += (after[1] * rotated_rays[2] - rotated_rays[1]) * slope_y
     return numerator / np.maximum(slope_x * slope_x + slope_y * slope_y, MIN_SQUARE)
 
 
@@ -110,7 +112,7 @@ def essential_poses(
     # px: largest distance of an inlier from the epipolar line, for each matrix
     thresholds: tuple[float, ...],
     *,
-    draws: int,  # most samples of five rays for a matrix
+    draws: int,  # largest number of samples of five rays for a matrix
 ) -> list[Pose]:
     """Return the poses of essential matrices by random sampling; all of them may be wrong.
 
@@ -176,16 +178,17 @@ def refine_pose(
         distance, jacobian = points.distance, _distance_jacobian(points, rays.focal)
         scale = max(robust_deviation(np.abs(distance), rays.trust), EGOMOTION.min_scale)
         weight = rays.trust / (1 + (distance / (2 * scale)) ** 2) ** 2
-        weight *= np.where(points.inverse_depth > 0, 1.0, 0.2)  # behind the camera
-        normal = (jacobian * weight) @ jacobian.T
-        normal = fix_scale(normal, translation)
+        # Points behind the camera are wrong.
+        weight *= np.where(points.inverse_depth > 0, 1.0, 0.2)
+        matrix = (jacobian * weight) @ jacobian.T
+        matrix = fix_scale(matrix, translation)
         gradient = jacobian @ (weight * distance)
         if unknowns.likely_rotation is not None:
             stiffness, offset = rotation_prior(rotation, unknowns.likely_rotation, scale)
-            normal[3:, 3:] += stiffness * np.eye(3)
+            matrix[3:, 3:] += stiffness * np.eye(3)
             gradient[3:] += stiffness * offset
         step = np.zeros(6)
-        step[:count] = np.linalg.solve(normal[:count, :count], gradient[:count])
+        step[:count] = np.linalg.solve(matrix[:count, :count], gradient[:count])
         # SciPy's Rotation rounds differently: in one of 24 checks, object motions changed by 2e-4.
         rotation_step = cv2.Rodrigues(step[3:])[0]
         rotation = rotation_step @ rotation
@@ -205,11 +208,11 @@ def pose_cost(rays: Rays, pose: Pose, scale: float) -> float:
 
 def nearest_points(rays: Rays, rotation: np.ndarray, translation: np.ndarray) -> EpipolarPoints:
     """Return the points of the epipolar lines of a pose that are nearest to the rays."""
-    rotated = rotation @ rays.before
-    inverse_depth = triangulate_rays(rotated, rays.after, translation)
-    nearness = 1 / np.maximum(rotated[2] + inverse_depth * translation[2], MIN_DEPTH_RATIO)
-    x = (rotated[0] + inverse_depth * translation[0]) * nearness
-    y = (rotated[1] + inverse_depth * translation[1]) * nearness
+    rotated_rays = rotation @ rays.before
+    inverse_depth = triangulate_rays(rotated_rays, rays.after, translation)
+    nearness = 1 / np.maximum(rotated_rays[2] + inverse_depth * translation[2], MIN_DEPTH_RATIO)
+    x = (rotated_rays[0] + inverse_depth * translation[0]) * nearness
+    y = (rotated_rays[1] + inverse_depth * translation[1]) * nearness
     normal_x, normal_y = y * translation[2] - translation[1], translation[0] - x * translation[2]
     reciprocal_length = 1 / np.maximum(
         np.sqrt(normal_x * normal_x + normal_y * normal_y), MIN_LENGTH
@@ -231,16 +234,16 @@ def _distance_jacobian(points: EpipolarPoints, focal: float) -> np.ndarray:
     """Return the negative derivatives of distances by translation and rotation, (6, N), px."""
     x, y = points.x, points.y
     a, b = focal * points.normal_x, focal * points.normal_y
-    radial = a * x + b * y
+    radial_part = a * x + b * y
     translation_factor = points.inverse_depth * points.nearness
     jacobian = np.empty((6, x.size))
     # A point P moves by δP = δT + δω × P, divided by its depth and projected.
     np.multiply(translation_factor, a, out=jacobian[0])
     np.multiply(translation_factor, b, out=jacobian[1])
-    np.multiply(-translation_factor, radial, out=jacobian[2])
-    np.multiply(-y, radial, out=jacobian[3])
+    np.multiply(-translation_factor, radial_part, out=jacobian[2])
+    np.multiply(-y, radial_part, out=jacobian[3])
     jacobian[3] -= b
-    np.multiply(x, radial, out=jacobian[4])
+    np.multiply(x, radial_part, out=jacobian[4])
     jacobian[4] += a
     np.subtract(b * x, a * y, out=jacobian[5])
     return jacobian
@@ -254,12 +257,12 @@ def rotation_alone(rays: Rays) -> np.ndarray:
         x, y = rays.after - residual
         distance = length(residual)
         weight = 1 / np.maximum(distance, max(median(distance), MIN_DISPLACEMENT))  # Huber's
-        horizontal = np.stack([-x * y, 1 + x * x, -y])
-        vertical = np.stack([-1 - y * y, x * y, x])
-        normal = (horizontal * weight) @ horizontal.T + (vertical * weight) @ vertical.T
-        gradient = horizontal @ (weight * residual[0]) + vertical @ (weight * residual[1])
+        derivative_x = np.stack([-x * y, 1 + x * x, -y])
+        derivative_y = np.stack([-1 - y * y, x * y, x])
+        matrix = (derivative_x * weight) @ derivative_x.T + (derivative_y * weight) @ derivative_y.T
+        gradient = derivative_x @ (weight * residual[0]) + derivative_y @ (weight * residual[1])
         try:
-            step = np.linalg.solve(normal, gradient)
+            step = np.linalg.solve(matrix, gradient)
         except np.linalg.LinAlgError:  # the rays are nearly parallel
             break
         rotation = cv2.Rodrigues(step)[0] @ rotation
@@ -270,8 +273,8 @@ def rotation_alone(rays: Rays) -> np.ndarray:
 
 def rotation_residual(rays: Rays, rotation: np.ndarray) -> np.ndarray:
     """Return the displacements that a rotation leaves, (2, N), normalised."""
-    rotated = rotation @ rays.before
-    return rays.after - rotated[:2] / rotated[2]
+    rotated_rays = rotation @ rays.before
+    return rays.after - rotated_rays[:2] / rotated_rays[2]
 
 
 def length(vectors: np.ndarray) -> np.ndarray:
@@ -286,5 +289,5 @@ def robust_deviation(distances: np.ndarray, weights: np.ndarray) -> float:
 
 def _weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
     order = np.argsort(values)
-    total = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
+    weight_sums = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(weight_sums, 0.5 * weight_sums[-1])])

@@ -1,4 +1,4 @@
-"""The estimate of a pair: its fields, its status, and how rigid motions give them.
+"""The estimate of a pair: its fields, its status, and how they follow from rigid motions.
 
 ρ̂ is the motion of a pixel as six unknowns, (τ, ω)·f, in px/frame: τ is the translation over depth,
 ω the rotation, and f the focal length. D is the inverse depth in px/frame.
@@ -138,7 +138,7 @@ def make_estimate(
     camera: Camera,
     settings: Settings,
     *,
-    unit: float | None = None,  # ‖t‖ of a given motion; depth is then in its unit
+    unit: float | None = None,  # ‖t‖ of a given motion; depth then has its unit
     hidden_label: int | None = None,  # the label whose parallax is too small to return its depth
     # px: robust standard deviation of the flow field from the nearest flow that the motion allows
     # at any depth. Above noise it shows errors that pixels share. One factor enlarges the
@@ -210,7 +210,7 @@ def make_depthless_estimate(
     status: Status,
     history: Records,
 ) -> Estimate:
-    """Return an estimate without depth, with the flow of a rotation; translation is only kept."""
+    """Return an estimate without depth, with the flow of a rotation; the translation is stored."""
     height, width = pyramid.shape
     camera = pyramid.cameras[0]
     problem = flow_problem(settings, camera.focal, stiffness=(1.0, 1.0))  # for (u, v)
@@ -257,8 +257,8 @@ def _fields(
     height, width = inverse_depth.shape
     cx, cy = camera.center_for(height, width)
     flow, rho = (aligned_empty((n, height, width)) for n in (2, 6))
-    scaled = camera.focal * twists
-    scaled[:, :3] *= twist_units[:, None]
+    scaled_twists = camera.focal * twists
+    scaled_twists[:, :3] *= twist_units[:, None]
     rigid_fields(
         inverse_depth,
         labels,
@@ -267,7 +267,7 @@ def _fields(
         flow,
         rho,
         motions=motions,
-        twists=scaled,
+        twists=scaled_twists,
         focal=camera.focal,
         by_pixel=runtime.on_gpu(),
     )

@@ -25,7 +25,7 @@ from tisfm.solver.unknowns import Unknowns
 
 # Mean steps of the frame that are added to grey levels of objects: no smoothness crosses the edge.
 EDGE_HEIGHT = 1e6
-STENCIL_REACH = 3  # px that differences and means reach
+STENCIL_RADIUS = 3  # px: radius of the stencils of differences and means
 
 MAX_SIDE = 2**15 - 2  # px: cv2.remap takes no longer frames
 FAR_FLOW = np.float32(MAX_SIDE)  # px: longer than any flow
@@ -45,8 +45,8 @@ class FastObjects:
 
     def cut_smoothness(
         self,
-        windows: Windows,  # windows of that level
-        unknowns: Unknowns,  # ρ̂ near the outlines is overwritten, and so are their `edges`
+        windows: Windows,  # windows of the level
+        unknowns: Unknowns,  # their `edges`, and ρ̂ near the outlines, are overwritten
     ) -> None:
         """Find the outlines on a level, and cut the smoothness along them."""
         self._mask = _resize_mask(self._mask, windows.shape)
@@ -61,13 +61,13 @@ class FastObjects:
         """Find each outline in its part of the image, and overwrite ρ̂ near the outlines."""
         flow, changes = unknowns.flow(), []
         for part, is_near in _object_parts(self._mask, flow):
-            previous = improved = cv2.merge(list(flow[:, part[0], part[1]]))
+            previous_flow = new_flow = cv2.merge(list(flow[:, part[0], part[1]]))
             mask = self._mask[part] & is_near
             comparison = ResidualComparison(windows.crop(part), self._problem.constancy)
             for _ in range(PROPOSALS.outline_rounds):
-                mask, improved = _improve_outline(comparison, mask, improved)
+                mask, new_flow = _improve_outline(comparison, mask, new_flow)
             self._mask[part] = np.where(is_near, mask, self._mask[part])
-            changes.append((part, np.where(is_near[..., None], improved - previous, 0)))
+            changes.append((part, np.where(is_near[..., None], new_flow - previous_flow, 0)))
         del flow
         for component in range(2):
             rho = unknowns.to_image(unknowns.rho, component)
@@ -77,7 +77,7 @@ class FastObjects:
 
 
 def _resize_mask(mask: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Return a mask on a finer level, or a copy where the level is the same."""
+    """Return a mask on a finer level, or a copy of a mask on the same level."""
     if mask.shape == shape:
         return mask.copy()
     size = shape[::-1]
@@ -87,9 +87,10 @@ def _resize_mask(mask: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
 def _object_parts(mask: np.ndarray, flow: np.ndarray) -> Iterator[tuple[Part, np.ndarray]]:
     """Yield, for each object, the part of the image that it crosses and the pixels near it.
 
-    The pixels, (h, w) bool of that part, are the surroundings to which no other object is nearer.
+    The pixels, (h, w) bool in that part, are the surroundings of the object to which no other
+    object is nearer.
     """
-    reach = PROPOSALS.outline_rounds * PROPOSALS.outside_margin + STENCIL_REACH
+    reach = PROPOSALS.outline_rounds * PROPOSALS.outside_margin + STENCIL_RADIUS
     dilated = cv2.dilate(mask.astype(np.uint8), _square(reach))
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(dilated, connectivity=8)
     for label in range(1, count):
@@ -103,8 +104,8 @@ def _object_parts(mask: np.ndarray, flow: np.ndarray) -> Iterator[tuple[Part, np
 
 
 def _range_with_motion(first: int, end: int, motion: np.ndarray, length: int) -> slice:
-    """Return the pixels from the first to the end along an axis, and those they move to."""
-    lowest, highest = first + motion.min() - STENCIL_REACH, end + motion.max() + STENCIL_REACH
+    """Return the pixels from `first` to `end` along an axis, and the pixels that they move to."""
+    lowest, highest = first + motion.min() - STENCIL_RADIUS, end + motion.max() + STENCIL_RADIUS
     first, end = (
         int(np.clip(position, 0, length)) for position in (min(first, lowest), max(end, highest))
     )
@@ -115,17 +116,18 @@ def _improve_outline(
     comparison: ResidualComparison, mask: np.ndarray, flow: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return an improved mask of an object, and the flow that follows from it."""
-    previous = mask.astype(np.uint8)
-    outer = cv2.dilate(previous, _square(PROPOSALS.outside_margin)) > 0
-    core = cv2.erode(previous, _square(PROPOSALS.inside_margin)) > 0
-    inside, outside = _fill_nearest(flow, core), _fill_nearest(flow, ~outer)
-    improved = core | (
-        outer & comparison.is_better(inside, outside, window=PROPOSALS.outline_window)
+    pixels = mask.astype(np.uint8)
+    max_mask = cv2.dilate(pixels, _square(PROPOSALS.outside_margin)) > 0
+    min_mask = cv2.erode(pixels, _square(PROPOSALS.inside_margin)) > 0
+    object_flow, other_flow = _fill_nearest(flow, min_mask), _fill_nearest(flow, ~max_mask)
+    new_mask = min_mask | (
+        max_mask & comparison.is_better(object_flow, other_flow, window=PROPOSALS.outline_window)
     )
-    _, labels = cv2.connectedComponents(improved.astype(np.uint8), connectivity=4)
-    improved = np.isin(labels, np.unique(labels[core]))  # parts without a core are dropped
-    new_flow = np.where(improved[..., None], inside, outside)
-    return improved, np.where(outer[..., None], new_flow, flow)
+    _, labels = cv2.connectedComponents(new_mask.astype(np.uint8), connectivity=4)
+    # parts without a pixel of `min_mask` are dropped
+    new_mask = np.isin(labels, np.unique(labels[min_mask]))
+    new_flow = np.where(new_mask[..., None], object_flow, other_flow)
+    return new_mask, np.where(max_mask[..., None], new_flow, flow)
 
 
 def _square(reach: int) -> np.ndarray:
@@ -153,9 +155,9 @@ def fast_areas(
 ) -> np.ndarray:
     """Return the new pixels of connected areas that move far for their size.
 
-    An area has at least `min_area` px. It moves by more than `min_speed` times the square root of
-    its size, relative to its own previous flow and to the flow of the well-matched pixels around
-    it. The flow of surfaces without texture does not count.
+    An area has at least `min_area` pixels. It moves by more than `min_speed` times the square root
+    of its size, relative to its previous flow and to the flow of well-matched pixels around it. The
+    flow of surfaces without texture does not count.
     """
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(
         is_new.astype(np.uint8), connectivity=4
@@ -165,10 +167,10 @@ def fast_areas(
     is_fast[0] = False
     if not is_fast.any():
         return np.zeros_like(is_new)
-    first, extent = boxes[is_fast, :2], boxes[is_fast, 2:4]
-    left, top = np.maximum(first.min(axis=0) - RADIUS, 0)
-    end, bottom = (first + extent).max(axis=0) + RADIUS
-    part = np.s_[top:bottom, left:end]
+    corner, extent = boxes[is_fast, :2], boxes[is_fast, 2:4]
+    left, top = np.maximum(corner.min(axis=0) - RADIUS, 0)
+    right, bottom = (corner + extent).max(axis=0) + RADIUS
+    part = np.s_[top:bottom, left:right]
     relative_motion = _relative_motion(forward[part], previous[part])
     mean = np.bincount(labels[part].ravel(), relative_motion.ravel(), minlength=count) / np.maximum(
         size, 1
@@ -213,9 +215,9 @@ def consistent_pixels(
     forward: np.ndarray,  # (h, w, 4) float32
     is_consistent: np.ndarray,  # (h, w) bool: pixels whose displacement is found in both directions
 ) -> np.ndarray:
-    """Return new pixels that move like the pixels of their area found in both directions.
+    """Return the new pixels that move like the consistent pixels of their area.
 
-    Areas without enough such pixels are dropped.
+    Areas with too few consistent pixels are dropped.
     """
     result = np.zeros_like(is_new)
     for part, area, size in _areas(is_new):
@@ -238,17 +240,17 @@ def distinctive_areas(
     result = np.zeros_like(is_new)
     if not is_new.any():
         return result
-    slope = np.array([[-0.5, 0, 0.5]], np.float32)
-    across, down = (cv2.filter2D(windows.grey0, cv2.CV_32F, k) for k in (slope, slope.T))
+    kernel = np.array([[-0.5, 0, 0.5]], np.float32)
+    slope_x, slope_y = (cv2.filter2D(windows.grey0, cv2.CV_32F, k) for k in (kernel, kernel.T))
     for part, area, size in _areas(is_new):
-        slopes = np.stack([across[part][area], down[part][area]]).astype(np.float64)
-        weakest_slope = np.linalg.eigvalsh(slopes @ slopes.T / size)[0]
+        slopes = np.stack([slope_x[part][area], slope_y[part][area]]).astype(np.float64)
+        min_slope = np.linalg.eigvalsh(slopes @ slopes.T / size)[0]
         motion, previous_motion = (
             np.median(state[part][area][:, :2], axis=0) for state in (forward, previous)
         )
         distance = np.hypot(*(motion - previous_motion))
         if (
-            weakest_slope >= PROPOSALS.min_slope * windows.noise** 2
+            min_slope >= PROPOSALS.min_slope * windows.noise** 2
             and distance <= PROPOSALS.max_object_motion * max(windows.shape)
         ):
             result[part] |= area

@@ -16,9 +16,9 @@ from tisfm.solver.image_pyramid import ImagePyramid
 
 
 def field_estimate(
-    pyramid: ImagePyramid,  # the splines of its coarse levels are freed
+    pyramid: ImagePyramid,  # the splines of its coarse levels are freed after use
     settings: Settings,
-    before: PreviousFrame | None = None,  # data of the previous frame
+    previous: PreviousFrame | None = None,  # data of the previous frame
 ) -> Estimate:
     """Estimate a ρ̂ of its own for every pixel."""
     camera = pyramid.cameras[0]
@@ -29,16 +29,16 @@ def field_estimate(
         last=pyramid.last,
         release=True,
         level_change=flow_proposals(pyramid, problem),
-        additional_data=before,
+        additional_data=previous,
     )
     unknowns, history = solution.unknowns, solution.history
     precision = unknowns.precision(solution.system)
     status = no_motion_status(solution, is_textured=pyramid.contrast > 0) or iteration_status(
         history, solution.converged, settings
     )
-    del solution  # the larger part of the memory
+    del solution  # frees most of the memory
     rho = resize_to_finest(pyramid, unknowns, pyramid.last)
-    if status == "no_texture":  # gradients of frame 1 alone may give a uniform frame 0 motion
+    if status == "no_texture":  # gradients of frame 1 alone may move a uniform frame 0
         rho[...] = 0
     flow, inverse_depth = _read_out(rho, camera)
     if len(rho) < 6:

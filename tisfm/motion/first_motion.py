@@ -35,8 +35,8 @@ from tisfm.visibility.occlusion import leaves_image
 class FirstMotion:
     """The motion that most of a flow field shows, or the pose that is known."""
 
-    # rotation, translation: (3, 3) and (3,) float64: ‖t‖ = 1 unless it was given, or 0 where none
-    # is seen
+    # rotation, translation: (3, 3) and (3,) float64: ‖t‖ = 1 unless t was given; t = 0 if no
+    # translation is visible
     rotation: np.ndarray
     translation: np.ndarray
     # robust standard deviation of the displacements from epipolar lines, px of the finest level
@@ -47,8 +47,8 @@ class FirstMotion:
     history: Records  # list of (level, warp, Iteration)
     flow: np.ndarray  # (h, w, 2) float32: the flow field, px of its level
     trust: np.ndarray  # (h, w) float32: its confidence
-    level: int  # of the flow field
-    # whether the motion is that of matched points, which works for frames far apart, too
+    level: int  # level of the flow field
+    # whether matched points gave the motion, which they do for frames far apart, too
     uses_matches: bool = False
     # whether the frames are two pictures of one layout, so that matching points is useless
     is_cut: bool = False
@@ -64,7 +64,7 @@ def first_motion(
     settings: Settings,
     *,
     pose: KnownPose | None = None,  # the known motion; its translation, if any, is not 0
-    # the coarsest level with at least as many pixels is taken, by default the finest
+    # the coarsest level with at least as many pixels is used, by default the finest level
     min_pixels: float = math.inf,
     # whether points are matched if the flow field fits no motion well and no pose is known, or if
     # it does not align the frames and a pose with translation is known
@@ -75,14 +75,14 @@ def first_motion(
     # (h, w) bool array: pixels of the level whose flow is not trusted, by default none
     hidden: np.ndarray | None = None,
 ) -> FirstMotion:
-    """Fit a motion to the flow field of a level, or judge a known one by it.
+    """Fit a motion to the flow field of a level, or compare a known motion with it.
 
     A known pose with a translation needs no parallax: with little parallax, depth is large or
     uncertain.
     """
     levels = [k for k, frame in enumerate(pyramid.frames0) if frame.size >= min_pixels]
     known_pose = pose or KnownPose(rotation=np.eye(3), translation=None)
-    start = _flow_field(pyramid, settings, known_pose, level=max(levels, default=0))
+    start = _estimate_flow_field(pyramid, settings, known_pose, level=max(levels, default=0))
     if start.status is not None:
         return start
     if hidden is not None:
@@ -111,11 +111,11 @@ def first_motion(
         sparse = sparse_start(pyramid, start.level, flow_pose)
         # A flow field, if there is one, measures a small parallax better than matches.
         if sparse is not None and (mismatch is not None or _match_status(sparse.motion) is None):
-            return matched_motion(start, sparse)
+            return motion_from_matches(start, sparse)
     if use_matches and mismatch is not None and known_pose.translation is not None:
         length = float(np.linalg.norm(known_pose.translation))
-        unit = known_pose.rotation, known_pose.translation / length
-        known_start, doubt = known_pose_start(pyramid, start.level, unit)
+        unit_pose = known_pose.rotation, known_pose.translation / length
+        known_start, doubt = known_pose_start(pyramid, start.level, unit_pose)
         if known_start is not None and known_start.mismatch is None:
             # The images agree with the pose, although the flow field does not.
             return replace(
@@ -172,8 +172,8 @@ def first_motion(
     return replace(motion, rotation=fit.rotation, translation=fit.translation, doubt=doubt)
 
 
-def matched_motion(start: FirstMotion, sparse: SparseStart) -> FirstMotion:
-    """Return the first motion that follows from matches, in place of that of the flow field."""
+def motion_from_matches(start: FirstMotion, sparse: SparseStart) -> FirstMotion:
+    """Return the first motion of matches, in place of the first motion of the flow field."""
     motion = sparse.motion
     status, doubt = sparse.mismatch or _match_status(motion), sparse.doubt
     if status == "uncertain":
@@ -195,7 +195,7 @@ def matched_motion(start: FirstMotion, sparse: SparseStart) -> FirstMotion:
 def _match_status(motion: SparseMotion) -> Status | None:
     """Return the status of a motion from matches with too little parallax, None for others."""
     parallax, residual = motion.parallax, max(motion.residual, SPARSE.min_residual)
-    measurement = _measurement(parallax, residual)
+    measurement = _parallax_text(parallax, residual)
     if motion.model == "rotation":
         return _pure_rotation_status(measurement)
     if parallax >= EGOMOTION.good_parallax * residual:
@@ -207,13 +207,13 @@ def _match_status(motion: SparseMotion) -> Status | None:
     )
 
 
-def _measurement(parallax: float, residual: float) -> str:
+def _parallax_text(parallax: float, residual: float) -> str:
     return (
         f"beyond a rotation, the image moves by {parallax:.2g} px, and noise is {residual:.2g} px"
     )
 
 
-def _flow_field(
+def _estimate_flow_field(
     pyramid: ImagePyramid, settings: Settings, known_pose: KnownPose, *, level: int
 ) -> FirstMotion:
     """Return the flow field of a level, with the given motion."""
@@ -257,7 +257,7 @@ def _parallax_status(fit: CameraMotion, scale: float, median_flow: float) -> Sta
     ratio = parallax / residual
     if ratio >= (EGOMOTION.good_parallax if parallax >= 1 else EGOMOTION.good_subpixel_parallax):
         return None
-    measurement = _measurement(parallax, residual)
+    measurement = _parallax_text(parallax, residual)
     if ratio >= EGOMOTION.fair_parallax:
         return _uncertain_status(measurement)
     if ratio >= EGOMOTION.min_parallax:

@@ -1,8 +1,8 @@
 """Motions that coarse-to-fine estimation missed, searched where the flow does not fit the images.
 
 On a coarse level, an object that moves far for its size is too small to be seen apart from its
-surroundings, and finer levels only improve the flow that they start from. Therefore, once, on a
-level that shows most objects, windows of both frames are compared along the flow. Where they
+surroundings, and finer levels only improve the flow that they start from. Therefore, on one level
+that shows most objects, windows of both frames are compared along the flow. Where the windows
 differ, displacements of the neighbourhood are tried in both directions, from frame 0 to frame 1
 and back, and the images decide pixel by pixel. The minimisation continues from the result.
 """
@@ -37,12 +37,12 @@ from tisfm.solver.unknowns import Unknowns
 
 def flow_proposals(
     pyramid: ImagePyramid,
-    # Of free motion. Its first two unknowns are the flow, up to a factor of the whole image.
+    # problem of free motion; its first two unknowns are the flow, up to a factor of all pixels
     problem: Problem,
 ) -> "FlowProposals | None":
-    """Return the correction of a flow between coarse and fine levels; None if it does not pay."""
+    """Return the correction of a flow between coarse and fine levels; None if no level suits."""
     if pyramid.levels == 1 or pyramid.frames0[-1].size > PROPOSALS.max_pixels:
-        # The settings ask for few scales
+        # The settings ask for few scales.
         return None
     levels = range(pyramid.last, pyramid.levels)
     level = next(k for k in levels if pyramid.frames0[k].size <= PROPOSALS.max_pixels)
@@ -57,7 +57,7 @@ def flow_proposals(
 
 
 class FlowProposals:
-    """An `Amendment`: motions that the images of a level confirm where they contradict the flow.
+    """A `LevelChange`: motions that the images of a level confirm where they contradict the flow.
 
     References
     ----------
@@ -84,19 +84,19 @@ class FlowProposals:
         if not np.isfinite(flow).all():
             return False
         state, is_poor = self._evaluate(flow)
-        corrected = flow
+        corrected_flow = flow
         if is_poor.mean() >= PROPOSALS.min_poor_share:
-            proposed = self._search_frame(flow)
-            if proposed is None:
+            new_flow = self._search_frame(flow)
+            if new_flow is None:
                 return False
-            if proposed is not flow:
-                corrected = proposed
-                state, is_poor = self._evaluate(corrected)
-        corrected = self._add_fast_objects(corrected, state, is_poor)
-        if corrected is flow:
+            if new_flow is not flow:
+                corrected_flow = new_flow
+                state, is_poor = self._evaluate(corrected_flow)
+        corrected_flow = self._add_fast_objects(corrected_flow, state, is_poor)
+        if corrected_flow is flow:
             return False
         rho = unknowns.images()
-        rho[:2] += cv2.split(corrected - flow)
+        rho[:2] += cv2.split(corrected_flow - flow)
         unknowns.set_images(rho)
         self.change_finer_level(unknowns, self.level)
         return True
@@ -109,8 +109,8 @@ class FlowProposals:
     def _evaluate(self, flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the state of a flow on the judged level, and where its matching cost is poor."""
         windows = self._search.windows(self._judged_level)
-        coarse = resize_flow(flow, windows.shape, windows.scale / self._scale)
-        state = windows.score_flow(coarse, min_variance=PROPOSALS.min_judged_variance)
+        coarse_flow = resize_flow(flow, windows.shape, windows.scale / self._scale)
+        state = windows.score_flow(coarse_flow, min_variance=PROPOSALS.min_judged_variance)
         return state, (state[..., 2] > PROPOSALS.min_poor_cost) & (state[..., 2] < UNTEXTURED)
 
     def _search_frame(self, flow: np.ndarray) -> np.ndarray | None:
@@ -134,9 +134,9 @@ class FlowProposals:
         is_new &= comparison.is_better(forward[..., :2], flow, window=PROPOSALS.residual_window)
         if not is_new.any():
             return flow
-        proposed = np.where(is_new[..., None], forward[..., :2], flow)
+        new_flow = np.where(is_new[..., None], forward[..., :2], flow)
         is_known = is_new | (is_consistent & ~_is_different(forward, flow))
-        return _fill_flow(windows, comparison, proposed, is_known, previous)
+        return _fill_flow(windows, comparison, new_flow, is_known, previous)
 
     def _add_fast_objects(
         self, flow: np.ndarray, state: np.ndarray, is_poor: np.ndarray
@@ -146,9 +146,9 @@ class FlowProposals:
         if not mask.any():
             return flow
         search = self._search
-        windows, coarse = search.windows(self._judged_level), state[..., :2]
+        windows, coarse_flow = search.windows(self._judged_level), state[..., :2]
         forward = search.match_forward(
-            [self._judged_level], initial_flows=[(coarse, windows.scale)], mask=mask
+            [self._judged_level], initial_flows=[(coarse_flow, windows.scale)], mask=mask
         )
         is_new = fast_areas(
             _is_better(forward, state),
@@ -162,26 +162,26 @@ class FlowProposals:
         comparison = ResidualComparison(windows, self._problem.constancy)
         is_supported = comparison.is_better(
             forward[..., :2],
-            coarse,
+            coarse_flow,
             window=PROPOSALS.residual_window,
             min_gain=PROPOSALS.object_gain,
         )
         is_new = supported_areas(is_new, is_supported)
         if not is_new.any():
             return flow
-        # Objects are suspected: they are searched again on the finer level, with more draws.
-        suspected = forward[..., :2], windows.scale
+        # Suspected objects are searched again on the finer level, with more draws.
+        suspected_flow = forward[..., :2], windows.scale
         windows, level = search.windows(self.level), [self.level]
         mask = resize_mask(_dilate(is_new, 3), windows.shape)
-        # Draws are made around known displacements. The suspected ones may be wrong, so the first
-        # search leaves them out.
+        # Draws are made around initial displacements. The suspected displacements may be wrong, so
+        # the first search leaves them out.
         forward = search.match_forward(
             level,
             initial_flows=[(flow, windows.scale)],
             mask=mask,
             wide_draws=PROPOSALS.object_draws,
         )
-        initial_flows = [(forward[..., :2], windows.scale), suspected]
+        initial_flows = [(forward[..., :2], windows.scale), suspected_flow]
         forward = search.match_forward(level, initial_flows=initial_flows, mask=mask, wide_draws=0)
         comparison = ResidualComparison(windows, self._problem.constancy)
         previous = windows.score_flow(flow, mask=_dilate(mask, 2 * RADIUS + 1))
@@ -222,16 +222,15 @@ class FlowProposals:
 def _visible_poor_pixels(state: np.ndarray, is_poor: np.ndarray) -> np.ndarray:
     """Return the poor pixels that do not seem occluded, (h, w) bool.
 
-    They stay in the image, no well-matched pixel goes to the same target, and they are not
-    isolated.
+    Their target is in the image, no well-matched pixel has this target, and they are not isolated.
     """
-    row, column, inside = _target_pixels(state)
-    is_good = inside & (state[..., 2] < PROPOSALS.max_good_cost)
+    row, column, is_inside = _target_pixels(state)
+    is_good = is_inside & (state[..., 2] < PROPOSALS.max_good_cost)
     is_target = np.zeros(is_poor.shape, np.uint8)
     is_target[row[is_good], column[is_good]] = 1
     square = np.ones((3, 3), np.uint8)
-    is_free = cv2.dilate(is_target, square)[row, column] == 0
-    candidates = (is_poor & inside & is_free).astype(np.uint8)
+    is_untargeted = cv2.dilate(is_target, square)[row, column] == 0
+    candidates = (is_poor & is_inside & is_untargeted).astype(np.uint8)
     return np.asarray(cv2.morphologyEx(candidates, cv2.MORPH_OPEN, square)) > 0
 
 
@@ -275,14 +274,14 @@ def _target_pixels(state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarra
     height, width = state.shape[:2]
     column = np.rint(state[..., 0] + np.arange(width, dtype=np.float32))
     row = np.rint(state[..., 1] + np.arange(height, dtype=np.float32)[:, None])
-    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    is_inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     column, row = column.clip(0, width - 1), row.clip(0, height - 1)
-    return row.astype(np.intp), column.astype(np.intp), inside
+    return row.astype(np.intp), column.astype(np.intp), is_inside
 
 
 def _is_consistent(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
     """Return which displacements are also found from frame 1 to frame 0."""
-    row, column, inside = _target_pixels(forward)
+    row, column, is_inside = _target_pixels(forward)
     reverse = backward[row, column]
     disagreement = np.hypot(*cv2.split(forward[..., :2] + reverse[..., :2]))
     is_match = (
@@ -290,11 +289,11 @@ def _is_consistent(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
         & (reverse[..., 2] < UNTEXTURED)
         & (reverse[..., 3] > 0)
     )
-    return np.asarray(inside & is_match & (disagreement < PROPOSALS.max_disagreement))
+    return np.asarray(is_inside & is_match & (disagreement < PROPOSALS.max_disagreement))
 
 
 def _large_regions(forward: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Return the agreed pixels without small islands of their own displacement."""
+    """Return the pixels of a mask without small regions that have a displacement of their own."""
     for component in cv2.split(forward[..., :2]):
         units = REGION_UNITS * (component - component.min()) + 1
         units = np.where(mask, units, 0).clip(0, np.iinfo(np.int16).max).astype(np.int16)
@@ -312,8 +311,8 @@ def _fill_flow(
 ) -> np.ndarray:
     """Return a flow whose unknown pixels take the nearest known flow, if the images confirm it.
 
-    The images cannot confirm a flow that leaves the image. Such a flow is taken where the present
-    flow stays inside and does not match, or where the present flow breaks off.
+    The images cannot confirm a flow that leaves the image. A pixel takes such a flow if its present
+    flow stays inside and does not match, or if its present flow is broken.
     """
     distance = np.where(is_known, 0, np.float32(flow.size)).astype(np.float32)
     propagated = np.zeros((*windows.shape, 4), np.float32)

@@ -4,12 +4,17 @@ import cv2
 import numpy as np
 
 from tisfm.motion.settings import CHECKS
-from tisfm.motion.window_statistics import correlation, mean_in_windows, variance_in_windows, warped
+from tisfm.motion.window_statistics import (
+    correlation,
+    mean_in_windows,
+    variance_in_windows,
+    warp_image,
+)
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.status import Status
 from tisfm.visibility.confidence import CONFIDENCE_WINDOW, median
 
-RESAMPLING_BORDER = 4  # px that are repeated where a frame is resampled, which bends stripes
+RESAMPLING_BORDER = 4  # px: resampling repeats pixels in this border, which bends stripes
 
 
 def unrelated_status(
@@ -21,7 +26,7 @@ def unrelated_status(
     *,
     is_free_flow: bool = True,  # whether the flow is free at every pixel
 ) -> Status | None:
-    """Return the status of frames that a flow does not align, None if the flow aligns them.
+    """Return the status of frames that a flow does not align, None for others.
 
     Frames are aligned if their correlation in windows is high at the median trusted pixel. A flow
     that is free at every pixel also has to keep neighbours in order nearly everywhere: a flow that
@@ -35,8 +40,10 @@ def unrelated_status(
         )
     correlations = correlation(frame0, frame1, flow)
     order = np.argsort(correlations, axis=None)
-    total = np.cumsum(trust.ravel()[order], dtype=np.float64)
-    median_correlation = float(correlations.ravel()[order[np.searchsorted(total, total[-1] / 2)]])
+    trust_sums = np.cumsum(trust.ravel()[order], dtype=np.float64)
+    median_correlation = float(
+        correlations.ravel()[order[np.searchsorted(trust_sums, trust_sums[-1] / 2)]]
+    )
     if median_correlation >= CHECKS.min_correlation:
         return None
     return Status(
@@ -51,19 +58,16 @@ def replaced_status(
     frame0: np.ndarray,
     frame1: np.ndarray,
     flow: np.ndarray,
-    # (H, W) bool: pixels that are not visible in frame 1; they do not count. By default all pixels
-    # count.
+    # (H, W) bool: pixels that are not visible in frame 1, which do not count; None: all count
     hidden: np.ndarray | None = None,
 ) -> Status | None:
     """Return the status of frames with one layout and different contents, None for others.
 
-    The parts that such frames share are at rest, and many textured windows differ. A large object
-    that moves far also gives windows that differ, but most of them are found elsewhere in the other
-    frame.
+    The common parts of such frames are at rest, and many textured windows differ. With a large
+    object that moves far, many windows differ, too, but most match elsewhere in the other frame.
     """
-    while (
-        frame0.size >= 4 * CHECKS.min_judged_pixels and min(frame0.shape) > 4 * RESAMPLING_BORDER
-    ):  # noise is less on coarse levels
+    # Coarse levels have less noise.
+    while frame0.size >= 4 * CHECKS.min_judged_pixels and min(frame0.shape) > 4 * RESAMPLING_BORDER:
         frame0, frame1, flow = (
             cv2.resize(array, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
             for array in (frame0, frame1, flow * np.float32(0.5))
@@ -75,7 +79,7 @@ def replaced_status(
             hidden = hidden_share > 0
     with np.errstate(over="ignore", invalid="ignore"):  # frames may be far too bright
         unit = np.float32(frame0.std(dtype=float))
-        warped1 = warped(frame1, flow)
+        warped1 = warp_image(frame1, flow)
         difference, variance0, variance1 = (
             variance_in_windows(image, mean_in_windows(image))
             for image in (warped1 - frame0, frame0, warped1)
@@ -105,23 +109,23 @@ def replaced_status(
 
 
 def _common_motion_share(frame0: np.ndarray, frame1: np.ndarray, is_different: np.ndarray) -> float:
-    """Return the largest share of lost squares that one displacement finds in the other frame.
+    """Return the largest share of squares with differences that match at one displacement.
 
-    Squares around lost pixels are searched in the whole other frame. Chance matches rarely share
-    one displacement.
+    Squares around different pixels are searched in the whole other frame. Chance matches rarely
+    share one displacement.
     """
-    half = CHECKS.square // 2
+    margin = CHECKS.square_side // 2
     squares = np.argwhere(
-        is_different[half : -half : CHECKS.square_step, half : -half : CHECKS.square_step]
+        is_different[margin : -margin : CHECKS.square_step, margin : -margin : CHECKS.square_step]
     )
-    # Displacements from frame 0 to frame 1, found in both directions.
+    # Displacements from frame 0 to frame 1, from searches in both directions.
     displacements = np.full((2, len(squares), 2), np.nan)
-    for k, (frame, other) in enumerate(((frame0, frame1), (frame1, frame0))):
+    for k, (frame, other_frame) in enumerate(((frame0, frame1), (frame1, frame0))):
         for number, (top, left) in enumerate(squares * CHECKS.square_step):
-            square = frame[top : top + CHECKS.square, left : left + CHECKS.square]
-            correlations = cv2.matchTemplate(other, square, cv2.TM_CCOEFF_NORMED)
-            _, best, _, (column, row) = cv2.minMaxLoc(correlations)
-            if best >= CHECKS.min_square_correlation:
+            square = frame[top : top + CHECKS.square_side, left : left + CHECKS.square_side]
+            correlations = cv2.matchTemplate(other_frame, square, cv2.TM_CCOEFF_NORMED)
+            _, max_correlation, _, (column, row) = cv2.minMaxLoc(correlations)
+            if max_correlation >= CHECKS.min_square_correlation:
                 displacements[k, number] = (1 - 2 * k) * np.array([column - left, row - top])
     is_found = np.isfinite(displacements[..., 0])
     support = [
@@ -132,11 +136,11 @@ def _common_motion_share(frame0: np.ndarray, frame1: np.ndarray, is_different: n
 
 
 def _folded_share(flow: np.ndarray, trust: np.ndarray) -> float:
-    """Return the share of the trust at pixels where the flow turns the image over."""
+    """Return the share of the trust at pixels where the flow folds the image."""
     with np.errstate(over="ignore", invalid="ignore"):  # where the flow diverged
-        across = np.diff(flow[:-1], axis=1)
-        down = np.diff(flow[:, :-1], axis=0)
-        area = (1 + across[..., 0]) * (1 + down[..., 1]) - across[..., 1] * down[..., 0]
+        slope_x = np.diff(flow[:-1], axis=1)
+        slope_y = np.diff(flow[:, :-1], axis=0)
+        area = (1 + slope_x[..., 0]) * (1 + slope_y[..., 1]) - slope_x[..., 1] * slope_y[..., 0]
         weight = trust[:-1, :-1]
         total = float(weight.sum())
         return float(weight[area <= 0].sum()) / total if total > 0 else 0.0
@@ -149,22 +153,22 @@ def field_status(
 ) -> Status | None:
     """Return the status of a wrong flow field of the finest level, None for others.
 
-    The flow is judged on a coarser level, since motion that is free at every pixel can align fine
-    detail of any two frames.
+    The flow is evaluated on a coarser level, since motion that is free at every pixel can align
+    fine detail of any two frames.
     """
     level = _judged_level(pyramid)
     frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
-    stripes = aperture_status(frame0)
-    size, area = frame0.shape[::-1], cv2.INTER_AREA
-    trust = cv2.resize(trust, size, interpolation=area)
-    if stripes is not None or not trust.any():
-        return stripes
-    coarse = cv2.merge([cv2.resize(part, size, interpolation=area) for part in flow])
-    return unrelated_status(frame0, frame1, coarse * np.float32(pyramid.scales[level]), trust)
+    stripe_status = aperture_status(frame0)
+    size, mode = frame0.shape[::-1], cv2.INTER_AREA
+    trust = cv2.resize(trust, size, interpolation=mode)
+    if stripe_status is not None or not trust.any():
+        return stripe_status
+    coarse_flow = cv2.merge([cv2.resize(part, size, interpolation=mode) for part in flow])
+    return unrelated_status(frame0, frame1, coarse_flow * np.float32(pyramid.scales[level]), trust)
 
 
 def _judged_level(pyramid: ImagePyramid) -> int:
-    """Return the level that a flow field is judged on."""
+    """Return the level on which a flow field is evaluated."""
     return max(
         (k for k, frame in enumerate(pyramid.frames0) if frame.size >= CHECKS.min_judged_pixels),
         default=0,
@@ -174,7 +178,7 @@ def _judged_level(pyramid: ImagePyramid) -> int:
 def confirms_large_motion(
     pyramid: ImagePyramid,
     flow: np.ndarray,  # (2, H, W) float32: px/frame of the finest level
-    # (H, W) bool: pixels that leave the image or are occluded; they are not judged
+    # (H, W) bool: pixels that leave the image or are occluded; they are not evaluated
     hidden: np.ndarray,
 ) -> bool:
     """Return whether the images confirm that most of their common part moved far.
@@ -190,16 +194,16 @@ def confirms_large_motion(
     frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
     if not frame0.std():
         return False
-    size, area = frame0.shape[::-1], cv2.INTER_AREA
-    visible = (cv2.resize(hidden.astype(np.float32), size, interpolation=area) == 0).astype(
+    size, mode = frame0.shape[::-1], cv2.INTER_AREA
+    visible = (cv2.resize(hidden.astype(np.float32), size, interpolation=mode) == 0).astype(
         np.float32
     )
     visible_flow = np.where(hidden, 0, flow) * np.float32(pyramid.scales[level])
-    coarse = cv2.merge([cv2.resize(part, size, interpolation=area) for part in visible_flow])
-    if not visible.any() or _folded_share(coarse, visible) > CHECKS.max_folded_share:
+    coarse_flow = cv2.merge([cv2.resize(part, size, interpolation=mode) for part in visible_flow])
+    if not visible.any() or _folded_share(coarse_flow, visible) > CHECKS.max_folded_share:
         return False
     if (
-        median(correlation(frame0, frame1, coarse)[visible > 0])
+        median(correlation(frame0, frame1, coarse_flow)[visible > 0])
         < CHECKS.min_large_motion_correlation
     ):
         return False
@@ -213,7 +217,7 @@ def _is_repetitive(frame: np.ndarray, visible: np.ndarray) -> bool:
     width, height = max(width // 2, 1), max(height // 2, 1)
     part = frame[top : top + height, left : left + width]
     if not part.std():
-        return True  # without texture it matches everywhere
+        return True  # a part without texture matches everywhere
     is_similar = (
         cv2.matchTemplate(frame, part, cv2.TM_CCOEFF_NORMED) >= CHECKS.min_large_motion_correlation
     )
@@ -226,7 +230,7 @@ def aperture_status(
 ) -> Status | None:
     """Return the status of a frame that varies along one direction only, None for others.
 
-    Its motion along the stripes cannot be seen: the aperture problem.
+    Motion along its stripes is invisible (the aperture problem).
 
     References
     ----------
@@ -238,24 +242,25 @@ def aperture_status(
         frame = cv2.resize(frame, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     if min(frame.shape) < 2 * RESAMPLING_BORDER + CONFIDENCE_WINDOW:  # too few windows
         return None
-    inner = np.s_[RESAMPLING_BORDER:-RESAMPLING_BORDER, RESAMPLING_BORDER:-RESAMPLING_BORDER]
+    interior = np.s_[RESAMPLING_BORDER:-RESAMPLING_BORDER, RESAMPLING_BORDER:-RESAMPLING_BORDER]
     with np.errstate(over="ignore", invalid="ignore"):  # frames may be far too bright
         grey = (frame - frame.mean()) / frame.std()
-        right, down = (
-            cv2.Sobel(grey, cv2.CV_32F, *order, scale=1 / 8)[inner] for order in ((1, 0), (0, 1))
+        slope_x, slope_y = (
+            cv2.Sobel(grey, cv2.CV_32F, *order, scale=1 / 8)[interior] for order in ((1, 0), (0, 1))
         )
-        derivatives = np.stack([right.ravel(), down.ravel()])
-        tensor = derivatives @ derivatives.T / right.size
+        derivatives = np.stack([slope_x.ravel(), slope_y.ravel()])
+        tensor = derivatives @ derivatives.T / slope_x.size
     if not np.isfinite(tensor).all():
         return None
-    variation, directions = np.linalg.eigh(tensor)
-    along, across = (
-        mean_in_windows((np.float32(x) * right + np.float32(y) * down) ** 2)
+    variations, directions = np.linalg.eigh(tensor)
+    variation_along, variation_across = (
+        mean_in_windows((np.float32(x) * slope_x + np.float32(y) * slope_y) ** 2)
         for x, y in directions.T
     )
-    faint_variation = np.float32(CHECKS.faint_share * variation.sum())
+    faint_variation = np.float32(CHECKS.faint_share * variations.sum())
     if (
-        along > CHECKS.max_stripe_variation * (along + across + faint_variation)
+        variation_along
+        > CHECKS.max_stripe_variation * (variation_along + variation_across + faint_variation)
     ).mean() > CHECKS.max_stripe_exceptions:
         return None
     return Status(
@@ -269,8 +274,8 @@ def diverged_status(
     flow: np.ndarray,  # (2, H, W) float32: (u, v), px/frame
     leaves: np.ndarray,  # (H, W) bool: where the flow leaves the image
     *,
-    # whether matched points, a pose or the images confirm a large motion (`confirms_large_motion`):
-    # pixels that leave the image may then go far
+    # whether matched points, a pose or the images (`confirms_large_motion`) confirm a large motion;
+    # pixels that leave the image may then move far
     is_confirmed: bool = False,
 ) -> Status | None:
     """Return the status of a flow that is too long for any pair of frames, None for others."""
@@ -278,7 +283,7 @@ def diverged_status(
     if is_confirmed:
         max_flow, max_leaving = CHECKS.max_confirmed_flow, CHECKS.max_confirmed_leaving_share
         flow = np.where(leaves & np.isfinite(flow), 0, flow)
-    # A point that moves by half the image is rarely visible twice; NaN fails the comparisons, too.
+    # A point that moves by half the image is rarely visible in both frames. NaN counts as too long.
     limit = max_flow * max(flow.shape[1:])
     is_short = max(flow.max(), -flow.min()) <= limit / np.sqrt(2)
     if not is_short and not np.sqrt(np.einsum("khw,khw->hw", flow, flow).max()) <= limit:

@@ -1,4 +1,4 @@
-"""Homographies of matched rays: the motions that they allow, and whether rays show one plane."""
+"""Homographies of matched rays: their motions, and whether the rays show a single plane."""
 
 import cv2
 import numpy as np
@@ -16,7 +16,7 @@ TWO_MOTIONS = Status(
 
 def sample_homographies(rays: Rays) -> list[np.ndarray]:
     """Return homographies of normalised coordinates by random sampling, (3, 3) each."""
-    # OpenCV finds no homography for small coordinates, so it gets px.
+    # OpenCV finds no homography of small coordinates, so coordinates are in px.
     before, after = (rays.focal * points[:2].T for points in (rays.before, rays.after))
     to_px = np.diag([rays.focal, rays.focal, 1.0])
     homographies = []
@@ -36,7 +36,7 @@ def plane_poses(
     homography: np.ndarray,  # (3, 3): for normalised coordinates
     rays: Rays,
     *,
-    min_share: float = 0.5,  # least share of the rays that meet the plane in front
+    min_share: float = 0.5,  # smallest share of the rays that meet the plane before the camera
 ) -> list[Pose]:
     """Return the motions of a homography whose plane lies in front of the camera."""
     _, rotations, translations, normals = cv2.decomposeHomographyMat(homography, np.eye(3))
@@ -88,8 +88,8 @@ def _fit_homography(rays: Rays) -> tuple[np.ndarray, float]:
     for _ in range(SPARSE.plane_rounds):
         normal = (system * np.tile(weight, 2)) @ system.T
         homography = np.linalg.eigh(normal)[1][:, 0].reshape(3, 3)
-        projected = homography @ before
-        distance = rays.focal * np.hypot(*(projected[:2] / projected[2] - rays.after))
+        homogeneous = homography @ before
+        distance = rays.focal * np.hypot(*(homogeneous[:2] / homogeneous[2] - rays.after))
         scale = robust_deviation(distance, rays.trust)
         weight = rays.trust / (1 + (distance / max(scale, SPARSE.min_plane_distance)) ** 2)
     return homography, scale

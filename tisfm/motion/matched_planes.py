@@ -1,4 +1,4 @@
-"""Reliable inverse depth: planes matched forward and backward, kept where both agree."""
+"""Inverse depth of matched planes; it is reliable where matches in both directions agree."""
 
 from dataclasses import dataclass
 
@@ -13,12 +13,12 @@ from tisfm.motion.settings import DEPTH
 from tisfm.solver.image_pyramid import ImagePyramid
 
 MAX_UNSAMPLED_PIXELS = 2**16  # in a larger frame, every 16th pixel is sampled for percentiles
-REGION_UNITS = 16  # units of a pixel, in which cv2.filterSpeckles takes displacements
+REGION_UNITS = 16  # units per px of displacements for cv2.filterSpeckles, which takes integers
 
 
 @dataclass(frozen=True, kw_only=True)
 class MatchedPlanes:
-    """A plane at every pixel of a level, and which pixels are believed."""
+    """A plane at every pixel of a level, and the pixels whose planes are reliable."""
 
     level: int
     inverse_depth: np.ndarray  # (h, w) float32: D, px/frame of the level
@@ -78,7 +78,7 @@ class _Search:
 
     cameras: list[Camera]  # camera of each level, the coarsest first
     scales: list[float]  # sampling density of each level over that of the last level
-    noise: float  # standard deviation of the noise of the last level, levels of 255
+    noise: float  # standard deviation of the noise of the last level, grey levels of 255
 
     def run(
         self, frames0: list[np.ndarray], frames1: list[np.ndarray], motion: np.ndarray, *, seed: int
@@ -86,18 +86,18 @@ class _Search:
         """Return the planes (h, w, 4) float32 of the last level of `frames0`."""
         planes = None
         max_depth = DEPTH.max_plane_depth * max(frames0[-1].shape)
-        for k, (levels0, levels1) in enumerate(zip(frames0, frames1, strict=True)):
+        for k, (frame0, frame1) in enumerate(zip(frames0, frames1, strict=True)):
             camera, scale = self.cameras[k], self.scales[k]
-            height, width = levels0.shape
+            height, width = frame0.shape
             if planes is None:
-                planes = _random_planes(levels0.shape, camera, scale * max_depth, seed)
+                planes = _random_planes(frame0.shape, camera, scale * max_depth, seed)
             else:
                 ratio = scale / self.scales[k - 1]
                 planes = cv2.resize(planes, (width, height), interpolation=cv2.INTER_NEAREST)
                 planes[..., 0] *= np.float32(ratio)
             search = PlaneSearch(
-                levels0,
-                levels1,
+                frame0,
+                frame1,
                 motion,
                 center=camera.center_for(height, width),
                 focal=camera.focal,
@@ -122,29 +122,27 @@ class _Search:
 
 
 def _search_levels(pyramid: ImagePyramid) -> list[int]:
-    """Return the searched levels, coarsest first, each about half as dense as the next."""
-    large = [
+    """Return the searched levels, the coarsest first, each about half as dense as the next."""
+    candidates = [
         k
         for k in range(pyramid.last, pyramid.levels)
         if pyramid.frames0[k].size <= DEPTH.max_plane_pixels
     ]
-    finest = min(large, default=pyramid.levels - 1)
+    finest = min(candidates, default=pyramid.levels - 1)
     step = max(1, round(np.log(0.5) / np.log(pyramid.factor)))
     levels = range(finest, pyramid.levels, step)
-    large_levels = [k for k in levels if pyramid.frames0[k].size >= DEPTH.min_plane_pixels] or [
-        finest
-    ]
-    return large_levels[::-1]
+    selected = [k for k in levels if pyramid.frames0[k].size >= DEPTH.min_plane_pixels] or [finest]
+    return selected[::-1]
 
 
 def _random_planes(
     shape: tuple[int, ...], camera: Camera, max_depth: float, seed: int
 ) -> np.ndarray:
     """Return random planes (h, w, 4) float32."""
-    random = np.random.default_rng(seed).random((*shape, 4), np.float32)
-    random[..., 0] *= max_depth
-    random[..., 1:3] = (2 * random[..., 1:3] - 1) * random[..., :1] * (MAX_SLOPE / camera.focal)
-    return random
+    planes = np.random.default_rng(seed).random((*shape, 4), np.float32)
+    planes[..., 0] *= max_depth
+    planes[..., 1:3] = (2 * planes[..., 1:3] - 1) * planes[..., :1] * (MAX_SLOPE / camera.focal)
+    return planes
 
 
 def large_regions(
@@ -172,12 +170,14 @@ def grey_scale(
     return np.float32(low), np.float32(MAX_GREY / max(high - low, DEPTH.min_noise))
 
 
-def noise_deviation(frame: np.ndarray, *, every: int = 1, valid: np.ndarray | None = None) -> float:
+def noise_deviation(
+    frame: np.ndarray, *, stride: int = 1, valid: np.ndarray | None = None
+) -> float:
     """Return the standard deviation of the noise of a frame, (H, W) float32, in its grey levels.
 
-    A mask removes smooth image content; the deviation of the rest in the quietest blocks is taken,
-    within bounds. Only every `every`-th block across and down takes part. If there are blocks all
-    of whose pixels count (`valid`, (H, W) bool), only these take part.
+    A filter mask removes smooth image content. The result is the deviation of the rest in the
+    quietest blocks, within bounds. Every `stride`-th block in both directions is used. Blocks with
+    pixels outside `valid`, (H, W) bool, are ignored unless all blocks have such pixels.
 
     References
     ----------
@@ -188,10 +188,10 @@ def noise_deviation(frame: np.ndarray, *, every: int = 1, valid: np.ndarray | No
     height, width = (side // DEPTH.noise_block for side in frame.shape)
     if height * width:
         block_residuals = np.median(
-            _blocks(residual, height, width)[::every, :, ::every], axis=(1, 3)
+            _blocks(residual, height, width)[::stride, :, ::stride], axis=(1, 3)
         )
         if valid is not None:
-            is_valid = _blocks(valid, height, width)[::every, :, ::every].all(axis=(1, 3))
+            is_valid = _blocks(valid, height, width)[::stride, :, ::stride].all(axis=(1, 3))
             block_residuals = block_residuals[is_valid] if is_valid.any() else block_residuals
         quiet_residual = float(np.quantile(block_residuals, DEPTH.quiet_share))
     else:
@@ -204,7 +204,7 @@ def noise_deviation(frame: np.ndarray, *, every: int = 1, valid: np.ndarray | No
 
 
 def _blocks(image: np.ndarray, height: int, width: int) -> np.ndarray:
-    """Return `height` × `width` blocks of an image, (height, BLOCK, width, BLOCK)."""
+    """Return `height` × `width` blocks of an image, (height, side, width, side)."""
     return image[: height * DEPTH.noise_block, : width * DEPTH.noise_block].reshape(
         height, DEPTH.noise_block, width, DEPTH.noise_block
     )

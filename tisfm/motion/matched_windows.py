@@ -25,10 +25,9 @@ class Windows:
     # grey0, grey1: (h, w) float32, grey levels of both frames, in [0, 255]
     grey0: np.ndarray
     grey1: np.ndarray
-    noise: float  # standard deviation of the noise of the noisier frame, levels
+    noise: float  # standard deviation of the noise of the noisier frame, grey levels
     scale: float  # sampling density relative to the finest level of the pyramid
-    # valid0, valid1: (h, w) bool or None, pixels of both frames that count; None for all. Other
-    # pixels are not compared.
+    # valid0, valid1: (h, w) bool, pixels of both frames that are compared; None for all
     valid0: np.ndarray | None = None
     valid1: np.ndarray | None = None
 
@@ -63,7 +62,7 @@ class Windows:
         flow: np.ndarray,  # (h, w, 2) float32: px/frame
         *,
         mask: np.ndarray | None = None,  # (h, w) bool: pixels that are searched, by default all
-        # of a window, in variances of the noise
+        # variance of a compared window over that of the noise
         min_variance: float = PROPOSALS.min_window_variance,
     ) -> np.ndarray:
         """Return a flow (h, w, 2) as the state of a search (`tisfm.kernels.rigid.flow_search`)."""
@@ -98,19 +97,19 @@ class WindowSearch:
             ::-1
         ] or [finest]
         # Noise is measured on the finest level: coarser levels have less noise, and more detail
-        # that looks like noise. The gain scales to the frames' own range, however small.
+        # that looks like noise. The gain scales the range of the frames, however small, to 255.
         frames = pyramid.frames0[finest], pyramid.frames1[finest]
         gain = grey_scale(*frames)[1]
-        every = 2 if frames[0].size > MAX_UNSAMPLED_PIXELS else 1
+        stride = 2 if frames[0].size > MAX_UNSAMPLED_PIXELS else 1
         valid = pyramid.valid_on(finest) or (None, None)
         noise = max(
-            noise_deviation(gain * frame, every=every, valid=counts)
-            for frame, counts in zip(frames, valid, strict=True)
+            noise_deviation(gain * frame, stride=stride, valid=mask)
+            for frame, mask in zip(frames, valid, strict=True)
         )
         self._noise = noise / (gain * pyramid.scales[finest])
 
     def windows(self, level: int) -> Windows:
-        """Return the windows of a level; levels finer than the last are not cached."""
+        """Return the windows of a level; searched and coarser levels are cached."""
         if level in self._windows:
             return self._windows[level]
         frames = self._pyramid.frames0[level], self._pyramid.frames1[level]
@@ -131,8 +130,8 @@ class WindowSearch:
         levels: list[int],
         *,
         # sequence of ((…, …, 2) float32, float): initial flows, each in px/frame of a level, with
-        # the scale of that level. The best of them starts the search at every pixel. By default,
-        # displacements are random.
+        # the scale of that level. At every pixel, the flow of least cost starts the search. By
+        # default, displacements are random.
         initial_flows: Sequence[InitialFlow] = (),
         # array of bool: pixels that are searched, on any level; by default all
         mask: np.ndarray | None = None,
@@ -160,13 +159,13 @@ class WindowSearch:
 def resize_flow(
     flow: np.ndarray,  # (h', w', 2) float32: px/frame
     shape: tuple[int, int],  # height and width of the other level, px
-    # Sampling density of the other level over that of the flow. The ratio of the rounded sizes may
-    # differ.
+    # sampling density of the other level over that of the flow's level; the ratio of the rounded
+    # sizes may differ
     ratio: float,
 ) -> np.ndarray:
     """Return a flow (h, w, 2) on another level: means on a coarser level, else nearest values."""
-    how = cv2.INTER_AREA if ratio < 1 else cv2.INTER_NEAREST
-    return np.float32(ratio) * np.asarray(cv2.resize(flow, shape[::-1], interpolation=how))
+    mode = cv2.INTER_AREA if ratio < 1 else cv2.INTER_NEAREST
+    return np.float32(ratio) * np.asarray(cv2.resize(flow, shape[::-1], interpolation=mode))
 
 
 def _search_levels(
@@ -222,14 +221,14 @@ def _search_levels(
 
 def _cheapest_states(states: list[np.ndarray]) -> np.ndarray:
     """Return the state of least cost at every pixel."""
-    best = states[0]
+    cheapest = states[0]
     for state in states[1:]:
-        best = np.where((state[..., 2] < best[..., 2])[..., None], state, best)
-    return best
+        cheapest = np.where((state[..., 2] < cheapest[..., 2])[..., None], state, cheapest)
+    return cheapest
 
 
 def resize_mask(mask: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Return a mask on another level: a pixel is set if any part of it is in the mask."""
+    """Return a mask on another level: it contains a pixel if the old mask contains a part of it."""
     if mask.shape == shape:
         return mask
     coverage = cv2.resize(mask.astype(np.float32), shape[::-1], interpolation=cv2.INTER_AREA)
@@ -238,8 +237,8 @@ def resize_mask(mask: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
 
 def _random_flow(windows: Windows, seed: int) -> np.ndarray:
     """Return a random flow (h, w, 2) float32, px/frame."""
-    random = np.random.default_rng(seed).random((*windows.shape, 2), np.float32)
-    return (2 * random - 1) * np.float32(PROPOSALS.max_wide_span * max(windows.shape))
+    values = np.random.default_rng(seed).random((*windows.shape, 2), np.float32)
+    return (2 * values - 1) * np.float32(PROPOSALS.max_wide_span * max(windows.shape))
 
 
 class ResidualComparison:
@@ -257,18 +256,19 @@ class ResidualComparison:
 
     def is_better(
         self,
-        # flow, other: (h, w, 2) float32, px/frame
+        # flow, other_flow: (h, w, 2) float32, px/frame
         flow: np.ndarray,
-        other: np.ndarray,
+        other_flow: np.ndarray,
         *,
         # px: side of the square in which residuals are averaged with Gaussian weights, so that a
         # pixel at the corner of an object takes part in that object
         window: int,
-        min_gain: float = 0.0,  # least difference, deviations of the noise
+        min_gain: float = 0.0,  # smallest difference, deviations of the noise
     ) -> np.ndarray:
         """Return where a flow has a smaller residual than another flow, (h, w) bool."""
         residual, other_residual = (
-            cv2.GaussianBlur(self._residual(one), (window, window), 0) for one in (flow, other)
+            cv2.GaussianBlur(self._residual(field), (window, window), 0)
+            for field in (flow, other_flow)
         )
         return np.asarray(residual < other_residual - min_gain)
 
@@ -276,20 +276,20 @@ class ResidualComparison:
         height, width = flow.shape[:2]
         x = flow[..., 0] + np.arange(width, dtype=np.float32)
         y = flow[..., 1] + np.arange(height, dtype=np.float32)[:, None]
-        total = np.zeros((height, width), np.float32)
+        residual = np.zeros((height, width), np.float32)
         for weight, frame0, frame1 in zip(self._weights, self._frames0, self._frames1, strict=True):
             warped = cv2.remap(frame1, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            total += weight * np.minimum(
+            residual += weight * np.minimum(
                 np.abs(warped - frame0) / self._noise, PROPOSALS.max_residual
             )
-        return total
+        return residual
 
 
-def _frame_and_slopes(levels: np.ndarray) -> list[np.ndarray]:
+def _frame_and_slopes(grey: np.ndarray) -> list[np.ndarray]:
     """Return a frame divided by √2, and its slopes.
 
-    The difference of two frames has √2 times the noise of one.
+    The difference of two frames has √2 times the noise of a single frame.
     """
-    slope = np.array([[-0.5, 0, 0.5]], np.float32)
-    across, down = (cv2.filter2D(levels, cv2.CV_32F, kernel) for kernel in (slope, slope.T))
-    return [levels / np.float32(2**0.5), across, down]
+    kernel = np.array([[-0.5, 0, 0.5]], np.float32)
+    slope_x, slope_y = (cv2.filter2D(grey, cv2.CV_32F, k) for k in (kernel, kernel.T))
+    return [grey / np.float32(2**0.5), slope_x, slope_y]

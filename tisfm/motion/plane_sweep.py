@@ -15,10 +15,10 @@ from tisfm.runtime import lanes
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.solver.smoothness import mean_step
 
-# Most costs (pixels times hypotheses) of a sweep: they decide the level. If every level has more,
-# as for long and narrow frames, the largest parallaxes are left out.
+# Largest number of costs (pixels times hypotheses) of a sweep, which decides its level. If every
+# level has more, as for long and narrow frames, the largest parallaxes are left out.
 MAX_COSTS = 2**25
-MIN_MEAN_STEP = 0.01  # grey levels between neighbours
+MIN_MEAN_STEP = 0.01  # grey levels: smallest mean difference of neighbours
 
 
 class PlaneSweep:
@@ -34,15 +34,15 @@ class PlaneSweep:
         trust: np.ndarray,  # (h, w) float32: confidence of the flow
         *,
         # whether the motion was given: the sweep then runs on the finest possible level
-        is_known: bool = False,
+        is_motion_known: bool = False,
     ) -> None:
         self._pyramid, self._motion = pyramid, motion
-        self._limit = 0 if is_known else pyramid.last
-        self._level, self._trust = level, trust
+        self._min_level = 0 if is_motion_known else pyramid.last
+        self._flow_level, self._trust = level, trust
         self._guess = triangulated_depth(flow, motion, pyramid.cameras[level])
 
     @cached_property
-    def range(self) -> tuple[float, float]:
+    def depth_range(self) -> tuple[float, float]:
         """Smallest and largest common D (`range_percentiles`), px/frame of the finest level."""
         frames = self._pyramid.frames0
         level = next(
@@ -51,7 +51,7 @@ class PlaneSweep:
         )
         max_guess = (
             np.percentile(self._guess, DEPTH.range_percentiles[1])
-            / self._pyramid.scales[self._level]
+            / self._pyramid.scales[self._flow_level]
         )
         side = max(frames[0].shape)
         depth = self._run(
@@ -62,42 +62,42 @@ class PlaneSweep:
         low, high = np.percentile(depth, DEPTH.range_percentiles) / self._pyramid.scales[level]
         return low, high
 
-    def start(self) -> tuple[int, np.ndarray]:
+    def initial_depth(self) -> tuple[int, np.ndarray]:
         """Return a level of the pyramid and the initial inverse depth on it.
 
         With little parallax, this is the triangulated flow field, which is near the truth. With
-        much parallax, it is the result of a sweep that uses the flow field as a guess. Unless the
-        motion is known, no sweep is finer than the last level of the pyramid.
+        much parallax, it is the result of a sweep that uses the flow field as a guess. Only a
+        sweep for a known motion may be finer than the last level of the pyramid.
 
-        Returns the level of the flow, or a finer level; and the inverse depth D, (H, W) float32,
-        px/frame of that level.
+        Returns the level of the flow field, or a finer level; and the inverse depth D, (H, W)
+        float32, px/frame of that level.
         """
         if not self.is_needed:
-            return self._level, self._guess
-        level = min(max(self.finest, self._limit), self._level)
+            return self._flow_level, self._guess
+        level = min(max(self.finest_level, self._min_level), self._flow_level)
         return level, self._run(level, *self._search_range)
 
     @property
     def is_needed(self) -> bool:
         """Whether parallax is too large for an estimate from coarse to fine."""
-        low, high = self.range
+        low, high = self.depth_range
         return high - low >= DEPTH.min_sweep_range
 
     @property
-    def finest(self) -> int:
+    def finest_level(self) -> int:
         """Finest level whose sweep has at most `MAX_COSTS` costs: depth can be refined there."""
         low, high = self._search_range
         frames, scales = self._pyramid.frames0, self._pyramid.scales
-        levels = range(self._level)
+        levels = range(self._flow_level)
         return next(
             (k for k in levels if (high - low) * scales[k] * frames[k].size <= MAX_COSTS),
-            self._level,
+            self._flow_level,
         )
 
     @property
     def _search_range(self) -> tuple[float, float]:
         """Smallest and largest D of the sweep, px of the finest level."""
-        low, high = self.range
+        low, high = self.depth_range
         return max((1 - DEPTH.range_margin) * low, 0), (1 + DEPTH.range_margin) * high
 
     def _run(self, level: int, low: float, high: float) -> np.ndarray:
@@ -106,7 +106,7 @@ class PlaneSweep:
         frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
         scale, width_height = pyramid.scales[level], frame0.shape[::-1]
         guess = cv2.resize(self._guess, width_height) * np.float32(
-            scale / pyramid.scales[self._level]
+            scale / pyramid.scales[self._flow_level]
         )
         hypotheses = np.arange(low * scale, high * scale + 1)
         hypotheses = hypotheses[: max(2, MAX_COSTS // frame0.size)]
@@ -127,7 +127,7 @@ def triangulated_depth(
     motion: np.ndarray,  # (3, 4) array: R and t
     camera: Camera,  # camera of the flow's level
 ) -> np.ndarray:  # (H, W) float32: D = f·d, px/frame
-    """Return the inverse depth of every pixel whose epipolar point is nearest to a flow.
+    """Return the inverse depth of every pixel whose target is nearest to the target of a flow.
 
     Near the epipole, where depth hardly moves a pixel, the surroundings decide.
     """
@@ -161,8 +161,8 @@ def sweep_depth(
     guess: np.ndarray,
     trust: np.ndarray,
     *,
-    # tuple of two (H, W) bool: pixels of each frame that count, by default all. Others weigh as
-    # little as hidden pixels.
+    # tuple of two (H, W) bool: pixels of each frame that count, by default all. Other pixels have
+    # the weight of hidden pixels.
     valid: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> np.ndarray:  # (H, W) float32: D, interpolated between the hypotheses
     """Return the best inverse depth of every pixel among hypotheses, by semi-global matching.
@@ -177,8 +177,8 @@ def sweep_depth(
     unit = max(mean_step(frame0, None if valid is None else valid[0]), MIN_MEAN_STEP)
     lane_count = lanes()
     vectors = -(-len(hypotheses) // lane_count)
-    padded = (height, width, vectors * lane_count)
-    cost = aligned_empty((height, width, vectors, lane_count) if lane_count > 1 else padded)
+    padded_shape = (height, width, vectors * lane_count)
+    cost = aligned_empty((height, width, vectors, lane_count) if lane_count > 1 else padded_shape)
     matching_cost(
         _scaled_features(frame0, unit),
         _scaled_features(frame1, unit),
@@ -192,13 +192,13 @@ def sweep_depth(
         step=float(hypotheses[1] - hypotheses[0]),
         guess_distance=DEPTH.guess_distance,
     )
-    cost.reshape(padded)[..., len(hypotheses) :] = UNUSED_COST
+    cost.reshape(padded_shape)[..., len(hypotheses) :] = UNUSED_COST
     if valid is not None:
         cost[~valid[0]] *= DEPTH.hidden_cost_weight
     depth = _best_depth(cost, frame0 / np.float32(unit), hypotheses)
     hidden = _is_hidden(depth, motion, camera, None if valid is None else valid[1])
     if valid is not None:
-        hidden &= valid[0]  # the others have been weighted already
+        hidden &= valid[0]  # pixels outside `valid` have this weight already
     cost[hidden] *= DEPTH.hidden_cost_weight
     depth = _best_depth(cost, frame0 / np.float32(unit), hypotheses)
     return cv2.medianBlur(depth, DEPTH.sweep_median_window)
@@ -230,27 +230,27 @@ def _is_hidden(
     nearness = 1 / np.maximum(points[2], np.float32(MIN_DEPTH_RATIO))
     columns = np.rint(cx + camera.focal * points[0] * nearness)
     rows = np.rint(cy + camera.focal * points[1] * nearness)
-    inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-    columns, rows = columns[inside].astype(np.int32), rows[inside].astype(np.int32)
+    is_inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    columns, rows = columns[is_inside].astype(np.int32), rows[is_inside].astype(np.int32)
     depth1 = depth * nearness  # D of frame 1
-    nearest: np.ndarray = np.full(depth.shape, -np.inf, np.float32)
-    np.maximum.at(nearest, (rows, columns), depth1[inside])
+    max_depth1: np.ndarray = np.full(depth.shape, -np.inf, np.float32)
+    np.maximum.at(max_depth1, (rows, columns), depth1[is_inside])
     # Rounding leaves gaps in a stretched surface.
-    dilated = cv2.dilate(nearest, np.ones((3, 3), np.uint8))
-    hidden: np.ndarray = ~inside
-    hidden[inside] = dilated[rows, columns] > depth1[inside] + DEPTH.hidden_distance
+    front_depth1 = cv2.dilate(max_depth1, np.ones((3, 3), np.uint8))
+    hidden: np.ndarray = ~is_inside
+    hidden[is_inside] = front_depth1[rows, columns] > depth1[is_inside] + DEPTH.hidden_distance
     if valid1 is not None:
-        hidden[inside] |= ~valid1[rows, columns]
+        hidden[is_inside] |= ~valid1[rows, columns]
     return hidden
 
 
 def _scaled_features(frame: np.ndarray, unit: float) -> np.ndarray:
     """Return brightness and four times its derivatives, as multiples of the largest cost."""
     features = aligned_zeros((*frame.shape, 4))
-    largest = DEPTH.max_brightness_difference * unit
-    features[..., 0] = frame / np.float32(largest)
+    max_difference = DEPTH.max_brightness_difference * unit
+    features[..., 0] = frame / np.float32(max_difference)
     for k, order in enumerate(((1, 0), (0, 1))):
-        features[..., 1 + k] = cv2.Sobel(frame, cv2.CV_32F, *order, scale=4 / 8 / largest)
+        features[..., 1 + k] = cv2.Sobel(frame, cv2.CV_32F, *order, scale=4 / 8 / max_difference)
     return features
 
 

@@ -2,7 +2,7 @@
 
 The motion of a surface changes little from frame to frame. So the flow to the previous frame is
 about the negative flow to the next frame. The sum of the two flows, the bend, is similar all over
-a surface. The bend is fitted where a surface is visible in all three frames, and predicts the flow
+a surface. The bend is fitted where a surface is visible in all three frames. It predicts the flow
 where the surface is hidden in the next frame.
 """
 
@@ -25,7 +25,7 @@ from tisfm.solver.unknowns import Unknowns
 from tisfm.threads import start_beside
 from tisfm.visibility.occlusion import occlusion, residual_of
 
-MIN_COUNT = 1e-4  # pixels in a window
+MIN_COUNT = 1e-4  # pixels: smallest number in a window, as a divisor
 MIN_DETERMINANT = 1e-6  # px⁴, of the variances of the flow
 
 
@@ -51,19 +51,19 @@ class PreviousPair:
         frame0, frame1 = pyramid.frames0[pyramid.last], pyramid.frames1[pyramid.last]
         if frame0.shape != hidden.shape:
             size, scale = frame0.shape[::-1], np.float32(pyramid.scales[pyramid.last])
-            area = cv2.INTER_AREA
-            flow = scale * np.stack([cv2.resize(part, size, interpolation=area) for part in flow])
+            mode = cv2.INTER_AREA
+            flow = scale * np.stack([cv2.resize(part, size, interpolation=mode) for part in flow])
             hidden = (
-                cv2.resize(hidden.astype(np.float32), size, interpolation=area)
+                cv2.resize(hidden.astype(np.float32), size, interpolation=mode)
                 > PREVIOUS.min_hidden_share
             )
         return cls(frame0=frame0, frame1=frame1, flow=flow, hidden=hidden)
 
     def backward_flow(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the flow from the second frame back to the first, and where it is known.
+        """Return the flow from the second frame back to the first, and the pixels that have a flow.
 
-        Returns the flow, (2, h, w) float32, px/frame, 0 where it is unknown; and the pixels of the
-        second frame that are visible in the first, (h, w) bool.
+        Returns the flow, (2, h, w) float32, px/frame, 0 without a flow; and the pixels of the
+        second frame that are visible in the first frame, (h, w) bool.
         """
         flow = np.where(self.hidden, np.float32(FAR_FLOW), self.flow)
         sums = aligned_empty((*self.hidden.shape, 4))
@@ -91,7 +91,7 @@ class PreviousFrame:
         # the frame is not used
         self.residual: np.ndarray | None = None
         frame = previous.frame0
-        # coarse levels leave threads free
+        # The estimation of coarse levels leaves threads free.
         is_parallel = runtime.threads() > 1 and frame.size >= MIN_PARALLEL_PIXELS
         self._taps = (
             start_beside(spline_taps, frame) if is_parallel else partial(spline_taps, frame)
@@ -103,8 +103,8 @@ class PreviousFrame:
         if not (flow.min() >= -FAR_FLOW and flow.max() <= FAR_FLOW):
             return None
         backward, is_visible = self._previous.backward_flow()
-        residual = self._residual(flow)
-        hidden = self._hidden(flow, residual)
+        residual = self._compute_residual(flow)
+        hidden = self._find_hidden(flow, residual)
         fit = fit_bend(flow, backward, is_visible & ~hidden)
         if fit is None:
             return None
@@ -112,13 +112,13 @@ class PreviousFrame:
         correction = bend - backward - flow
         is_predicted = is_visible & is_steady
         # A visible pixel takes the predicted flow if this flow fits frame 1 better.
-        predicted_residual = self._residual(flow + correction * is_predicted)
+        predicted_residual = self._compute_residual(flow + correction * is_predicted)
         is_better = is_predicted & (
             hidden | (predicted_residual < PREVIOUS.max_residual_ratio * residual)
         )
         self.residual = np.where(is_better, predicted_residual, residual)
         # With corrected flow, occluders hide other pixels.
-        hidden |= self._hidden(flow + correction * is_better, self.residual)
+        hidden |= self._find_hidden(flow + correction * is_better, self.residual)
         is_filled = hidden & is_predicted
         unknowns.move(correction * (is_better | is_filled))
         doubt = np.where(
@@ -137,13 +137,13 @@ class PreviousFrame:
             ((~is_filled).astype(np.float32), trust),
         )
 
-    def _residual(self, flow: np.ndarray) -> np.ndarray:
+    def _compute_residual(self, flow: np.ndarray) -> np.ndarray:
         """Return the residual of a flow of the last level in the next frame."""
         pyramid, level = self._pyramid, self._pyramid.last
         frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
         return residual_of(frame0, frame1, flow, self._settings, spline1=pyramid.spline1(level))
 
-    def _hidden(self, flow: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    def _find_hidden(self, flow: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """Return the pixels of the last level that a flow hides in the next frame."""
         pyramid, level = self._pyramid, self._pyramid.last
         frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
@@ -174,37 +174,40 @@ def fit_bend(
     bend of a steady 3D motion depends on depth, as the flow does, so two surfaces in one window
     have different bends.
 
-    Returns bend, (2, h, w) float32: px/frame; off, (h, w) float32: squared deviation from the bend
-    around every pixel, plus the squared excess of the bend over that of a steady motion, px²;
-    steady, (h, w) bool: where the bend is small enough for a steady motion; None: if less than
-    `min_fitting_share` of the visible pixels fit the bend.
+    Returns the bend, (2, h, w) float32, px/frame; the squared deviation from the bend around every
+    pixel, plus the squared excess of the bend over that of a steady motion, (h, w) float32, px²;
+    and the pixels whose bend is small enough for a steady motion, (h, w) bool. Returns None if less
+    than `min_fitting_share` of the visible pixels fit the bend.
     """
     h, w = is_visible.shape
-    first = min(PREVIOUS.grid_step, h, w) // 2
-    inner = cv2.erode(
+    margin = min(PREVIOUS.grid_step, h, w) // 2
+    interior = cv2.erode(
         is_visible.astype(np.float32),
         np.ones((PREVIOUS.visible_window, PREVIOUS.visible_window), np.uint8),
     )
-    part = np.s_[first :: PREVIOUS.grid_step, first :: PREVIOUS.grid_step]
-    inner_weight = np.ascontiguousarray(inner[part])
-    if not inner_weight.any():
+    grid_pixels = np.s_[margin :: PREVIOUS.grid_step, margin :: PREVIOUS.grid_step]
+    first_weight = np.ascontiguousarray(interior[grid_pixels])
+    if not first_weight.any():
         return None
-    x0, x1 = (np.ascontiguousarray(component[part]) for component in backward)
-    sums = [np.ascontiguousarray(a[part] + b[part]) for a, b in zip(flow, backward, strict=True)]
-    coefficients = _fit_affine(x0, x1, sums, inner_weight)
+    x0, x1 = (np.ascontiguousarray(component[grid_pixels]) for component in backward)
+    sums = [
+        np.ascontiguousarray(a[grid_pixels] + b[grid_pixels])
+        for a, b in zip(flow, backward, strict=True)
+    ]
+    coefficients = _fit_affine(x0, x1, sums, first_weight)
     deviation = _squared_deviation(x0, x1, sums, coefficients)
-    weight = inner_weight / (1 + deviation / PREVIOUS.half_weight_deviation**2)
+    weight = first_weight / (1 + deviation / PREVIOUS.half_weight_deviation**2)
     coefficients = _fit_affine(x0, x1, sums, weight)
     excess = _excess_bend(x0, x1, coefficients)
     deviation = _squared_deviation(x0, x1, sums, coefficients) + excess
     if (
-        inner_weight * (deviation < PREVIOUS.half_trust_deviation**2)
-    ).sum() < PREVIOUS.min_fitting_share * inner_weight.sum():
+        first_weight * (deviation < PREVIOUS.half_trust_deviation**2)
+    ).sum() < PREVIOUS.min_fitting_share * first_weight.sum():
         return None
-    side = (2 * PREVIOUS.mean_radius + 1, 2 * PREVIOUS.mean_radius + 1)
-    count = cv2.boxFilter(inner_weight, -1, side)
+    window = (2 * PREVIOUS.mean_radius + 1, 2 * PREVIOUS.mean_radius + 1)
+    count = cv2.boxFilter(first_weight, -1, window)
     mean_deviation = np.asarray(
-        cv2.boxFilter(deviation * inner_weight, -1, side) / (count + np.float32(MIN_COUNT))
+        cv2.boxFilter(deviation * first_weight, -1, window) / (count + np.float32(MIN_COUNT))
     )
 
     def upsample(values: np.ndarray) -> np.ndarray:
@@ -223,8 +226,8 @@ def _fit_affine(
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Return (a0, a1, c) of the fit a0·x0 + a1·x1 + c to each of the values at every pixel.
 
-    As in a guided filter, there is a fit in every window, and a pixel takes the mean of the fits
-    of all windows that contain it.
+    As in a guided filter, every window has a fit, and a pixel takes the mean of the fits of all
+    windows that contain the pixel.
 
     References
     ----------

@@ -46,7 +46,7 @@ class RigidSolution:
         precision = cv2.blur(fields[0], window)
         precision += MIN_DIVISOR
         residual = cv2.blur(fields[3], window)
-        # Without texture the residual is small, too, so it is at least the median one.
+        # Without texture the residual is small, too, so the median residual is its lower bound.
         is_textured = fields[0] > ROUNDING * fields[0].max()
         median_residual = median(fields[3][is_textured]) if is_textured.any() else 0.0
         np.maximum(residual, median_residual, out=residual)
@@ -74,27 +74,27 @@ def rigid_depth(
     last: int = 0,  # the last level, unless `start` begins on a finer level
     # part of the motions that is refined on the finer levels, jointly with depth
     refine: Refinement = "motion",
-    # (H, W) bool array: pixels whose data count, by default all. Depth is continued smoothly to
-    # other pixels.
+    # (H, W) bool array: pixels whose data are used, by default all. Depth is continued smoothly
+    # to other pixels.
     support: np.ndarray | None = None,
     # (int, (h, w) float32): the first level and D on it, for translations scaled by
     # `scaled_translations`; by default the coarsest level, and zero
     start: tuple[int, np.ndarray] | None = None,
-    # linearisations on the last level, by default `settings.warps * WARPS`
+    # linearisations on the last level, by default `settings.warps * DEPTH.warps_factor`
     warps: int | None = None,
 ) -> RigidSolution:
     """Estimate the inverse depth of every pixel, from coarse to fine.
 
     The data terms are the same as for a flow field, weighted as `settings.depth_brightness`,
     `settings.gradient` and `settings.depth_normalization` say, and restricted to epipolar lines.
-    Displacements are exact. The unknown D is in px/frame for every motion, because translations
-    are scaled such that D moves a pixel by D px/frame on average. There is no smoothness across
-    edges between labels.
+    Displacements are computed exactly. The unknown D is in px/frame for every motion, because
+    translations are scaled such that D moves a pixel by D px/frame on average. Edges between
+    labels have no smoothness.
     """
     motions = scaled_translations(motions, labels, pyramid.cameras[0])
     history: Records = []
     coarse: Unknowns | None = None
-    noise = np.zeros(len(motions))
+    residuals = np.zeros(len(motions))
     coarsest, depth = (pyramid.levels - 1, None) if start is None else start
     linearisations = [
         settings.warps * DEPTH.warps_factor if warps is None else warps
@@ -109,18 +109,18 @@ def rigid_depth(
         for warp in range(linearisations[level - last]):
             state.linearise(motions)
             state.minimiser.set_alpha(
-                settings.depth_smoothness * max(1.0, noise.max() / DEPTH.max_quiet_residual)
+                settings.depth_smoothness * max(1.0, residuals.max() / DEPTH.max_quiet_residual)
             )
             state.minimiser.update()  # depth was despeckled
             iterations, converged = state.minimiser.minimise()
             history += [(level, warp, iteration) for iteration in iterations]
             state.despeckle()
-            noise = state.median_residuals(motions)
+            residuals = state.median_residuals(motions)
             if refine != "none" and (
                 level == last or pyramid.scales[level] >= DEPTH.min_refined_scale
             ):
                 unknowns = 6 if refine == "motion" else 3
-                motions = state.refine_motions(motions, unknowns, noise)
+                motions = state.refine_motions(motions, unknowns, residuals)
         coarse = state.unknowns
     state.minimiser.update()  # depth was despeckled
     return RigidSolution(
@@ -164,7 +164,7 @@ def motion_precision(
 ) -> np.ndarray:
     """Return the precision of data and neighbours for given motions and depth, (7, H, W) float32.
 
-    For its own solution, `rigid_depth` returns the same as `RigidSolution.precision`.
+    `RigidSolution.precision` is this precision for a solution of `rigid_depth`.
     """
     state = RigidLevel(pyramid, 0, settings, labels, count=len(motions))
     state.unknowns.set_images(inverse_depth[None])
@@ -190,12 +190,12 @@ def scaled_translations(motions: np.ndarray, labels: np.ndarray, camera: Camera)
     x = (np.arange(0, width, stride) - cx) / camera.focal
     y = (np.arange(0, height, stride)[:, None] - cy) / camera.focal
     sampled_labels = labels[::stride, ::stride]
-    scaled = np.array(motions, np.float64)
-    for label, motion in enumerate(scaled):
+    scaled_motions = np.array(motions, np.float64)
+    for label, motion in enumerate(scaled_motions):
         t1, t2, t3 = motion[:, 3]
         square = (t1 - x * t3) ** 2 + (t2 - y * t3) ** 2
         is_label = sampled_labels == label
         length = float(np.sqrt(square[is_label].mean() if is_label.any() else square.mean()))
         if length > 0:
             motion[:, 3] /= length
-    return scaled
+    return scaled_motions

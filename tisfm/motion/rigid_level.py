@@ -24,7 +24,7 @@ from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.solver.unknowns import Unknowns
 from tisfm.visibility.confidence import median
 
-SAMPLED_PIXELS = 20_000  # about, for medians and means over the image
+SAMPLED_PIXELS = 20_000  # approximate number for medians and means over the image
 
 
 class RigidLevel:
@@ -61,21 +61,21 @@ class RigidLevel:
         if support is not None:
             valid = cv2.resize(support.astype(np.float32), size, interpolation=cv2.INTER_AREA)
         elif labels.any() and pyramid.scales[level] >= DEPTH.min_refined_scale:
-            # Stencils across a boundary mix two motions, so their pixels do not count.
+            # Stencils across a boundary mix two motions, so their pixels have no data.
             valid = (~_has_mixed_window(label_image)).astype(np.float32)
         data_term = data_term_on(pyramid, level, problem, unknowns)
         self._constraints, self._scales = data_term.constraints, data_term.scales
-        restricted = grid.allocate(self._constraints.shape[0])
+        line_constraints = grid.allocate(self._constraints.shape[0])
         self.minimiser = HalfQuadratic(
             unknowns,
-            restricted,
+            line_constraints,
             scales=self._scales,
             smoothness=problem.smoothness,
             effort=problem.effort,
         )
         self.flow, direction = (grid.allocate(2, zeros=False) for _ in range(2))
         self._motions = np.zeros((count, 3, 4), np.float32)
-        steps = [
+        launches = [
             displacement.bind(
                 grid,
                 unknowns.rho,
@@ -89,14 +89,14 @@ class RigidLevel:
             ),
             data_term.bind_linearise(self.flow),
             restrict_to_line.bind(
-                grid, self._constraints, self.flow, direction, unknowns.rho, restricted
+                grid, self._constraints, self.flow, direction, unknowns.rho, line_constraints
             ),
         ]
         if valid is not None:
             weight = grid.allocate(1)
             image_to_lanes(grid, np.sqrt(valid), weight)  # constraints are squared later
-            steps.append(multiply.bind(grid, weight, restricted))
-        self._linearise = join_launches(*steps)
+            launches.append(multiply.bind(grid, weight, line_constraints))
+        self._linearise = join_launches(*launches)
 
     def linearise(self, motions: np.ndarray) -> None:
         """Linearise the data at the current depth, and restrict them to epipolar lines."""
@@ -106,10 +106,10 @@ class RigidLevel:
     def despeckle(self) -> None:
         """Replace depth by its median in a small window, which removes single wrong pixels."""
         depth = self.unknowns.images()[0]
-        is_single = len(self._motions) == 1
+        has_one_motion = len(self._motions) == 1
         medians = (
             cv2.medianBlur(depth, DEPTH.median_window)
-            if is_single
+            if has_one_motion
             else median_of_labels(depth, self._label_image)
         )
         image_to_lanes(self.unknowns.grid, medians, self.unknowns.rho)
@@ -117,8 +117,8 @@ class RigidLevel:
     def median_residuals(self, motions: np.ndarray) -> np.ndarray:
         """Return the median residual of each motion's pixels, (K,).
 
-        It is 0 without pixels or without translation. A sample of rows and the weights of the last
-        iteration are used.
+        The residual is 0 without pixels or without translation. It is computed on a sample of rows,
+        with the weights of the last iteration.
         """
         depth = on_host(self.unknowns.rho)[0, self._rows, 1:-1]
         tensor = on_host(self.minimiser.system.tensor)[:, self._rows, 1:-1]
@@ -136,14 +136,14 @@ class RigidLevel:
         """Return the motions after a Gauss–Newton step on the last linearisation."""
         system = self.minimiser.system
         motions = motions.copy()
-        current = motions.astype(np.float32)
+        motions32 = motions.astype(np.float32)
         for label, motion in enumerate(motions):
             matrix, vector = motion_system(
                 system,
                 self._constraints,
                 self.unknowns.rho,
                 self._labels,
-                motions=current,
+                motions=motions32,
                 label=label,
                 focal=self._focal,
                 scales=self._scales,
@@ -170,21 +170,21 @@ def median_of_labels(
     medians = cv2.medianBlur(values, DEPTH.median_window)
     is_mixed = _has_mixed_window(labels)
     if is_mixed.any():
-        own_label, neighbours = (
+        neighbour_labels, neighbours = (
             sliding_window_view(
                 np.pad(image, DEPTH.median_window // 2, mode="edge"),
                 (DEPTH.median_window, DEPTH.median_window),
             )[is_mixed]
             for image in (labels, values)
         )
-        is_same = own_label == labels[is_mixed][:, None, None]
+        is_same = neighbour_labels == labels[is_mixed][:, None, None]
         neighbours = np.where(is_same, neighbours, np.nan).reshape(len(neighbours), -1)
         medians[is_mixed] = np.nanmedian(neighbours, axis=1)
     return medians
 
 
 def _has_mixed_window(labels: np.ndarray) -> np.ndarray:
-    """Return the pixels whose window holds more than one label, (H, W) bool."""
+    """Return the pixels whose window contains several labels, (H, W) bool."""
     window = np.ones((DEPTH.median_window, DEPTH.median_window), np.uint8)
     return cv2.erode(labels, window) != cv2.dilate(labels, window)
 
@@ -201,14 +201,14 @@ def _apply_step(
     step = np.zeros(6)
     step[:unknowns] = -np.linalg.solve(matrix[:unknowns, :unknowns], vector[:unknowns])
     rotation_step = Rotation.from_rotvec(step[3:]).as_matrix()
-    rotated = rotation_step @ translation + step[:3]
+    translation1 = rotation_step @ translation + step[:3]
     return np.column_stack(
-        [rotation_step @ motion[:, :3], rotated * (length / np.linalg.norm(rotated))]
+        [rotation_step @ motion[:, :3], translation1 * (length / np.linalg.norm(translation1))]
     )
 
 
 def _valid_pixels(unknowns: Unknowns, valid: np.ndarray | None) -> np.ndarray:
-    """Return 1 on the pixels of the image that count, else 0, as a lane array on the host."""
+    """Return 1 on the used pixels of the image, else 0, as a lane array on the host."""
     inside = unknowns.grid.image_mask()
     if valid is None:
         return inside
@@ -220,10 +220,10 @@ def _valid_pixels(unknowns: Unknowns, valid: np.ndarray | None) -> np.ndarray:
 def _same_label_edges(unknowns: Unknowns, labels: np.ndarray) -> LaneData:
     """Return a lane array that is 1 for edges between pixels of the same label, else 0."""
     grid = unknowns.grid
-    same = np.zeros((2, *labels.shape), np.float32)
-    same[0, :, :-1] = labels[:, 1:] == labels[:, :-1]
-    same[1, :-1] = labels[1:] == labels[:-1]
+    is_same = np.zeros((2, *labels.shape), np.float32)
+    is_same[0, :, :-1] = labels[:, 1:] == labels[:, :-1]
+    is_same[1, :-1] = labels[1:] == labels[:-1]
     out = grid.allocate(2)
-    for component, edges in enumerate(same):
+    for component, edges in enumerate(is_same):
         image_to_lanes(grid, edges, out, component=component)
     return out

@@ -1,4 +1,4 @@
-"""A pair of frames from a rolling shutter, resampled as if from a global one."""
+"""A pair of frames from a rolling shutter, resampled as if from a global shutter."""
 
 from dataclasses import dataclass
 
@@ -20,13 +20,13 @@ MOTION_STATUSES = ("converged", "iteration_limit", "uncertain", "pure_rotation",
 
 @dataclass(frozen=True, kw_only=True)
 class GlobalShutterPair:
-    """Two frames as if all rows had been read with the middle one."""
+    """Two frames as if all rows of each had been read at the time of the middle row."""
 
     # grey0, grey1: (H, W) float32
     grey0: np.ndarray
     grey1: np.ndarray
     frame: np.ndarray  # (H, W) or (H, W, 3) uint8: frame 0 as a picture
-    # tuple of two (H, W) bool, or None: pixels that count: they are visible and not ignored
+    # tuple of two (H, W) bool: pixels that are visible and not ignored; None: all
     valid: tuple[np.ndarray, np.ndarray] | None
 
 
@@ -39,16 +39,17 @@ def global_shutter_pair(
     camera: Camera,  # a pinhole; its readout is a share of the time from frame 0 to frame 1
     settings: Settings,
     pose: KnownPose | None,  # the known motion from one middle row to the other
-) -> GlobalShutterPair | None:  # none if no motion is found
-    """Return a pair as if all rows of each frame had been read with its middle one.
+) -> GlobalShutterPair | None:  # None if no motion could be estimated
+    """Return a pair as if all rows of each frame had been read at the time of its middle row.
 
     The camera is assumed to move evenly from before frame 0 until after frame 1. Motion and depth
-    are estimated from the given frames, and again from the frames corrected by them.
+    are estimated from the given frames, and again from the frames that were corrected with the
+    first estimate.
     """
-    corrected: GlobalShutterPair | None = None
+    pair: GlobalShutterPair | None = None
     for _ in range(EGOMOTION.shutter_rounds):
-        frame0, frame1 = (grey0, grey1) if corrected is None else (corrected.grey0, corrected.grey1)
-        current_valid = valid if corrected is None else corrected.valid
+        frame0, frame1 = (grey0, grey1) if pair is None else (pair.grey0, pair.grey1)
+        current_valid = valid if pair is None else pair.valid
         estimate = camera_estimate(
             pyramid_of(frame0, frame1, camera, settings, current_valid), settings, pose
         )
@@ -59,13 +60,13 @@ def global_shutter_pair(
         if valid is not None:
             for mask, map_, pixels in zip(ignored, maps, valid, strict=True):
                 mask |= map_.nearest((~pixels).astype(np.float32)) > 0
-        corrected = GlobalShutterPair(
+        pair = GlobalShutterPair(
             grey0=maps[0].apply(grey0),
             grey1=maps[1].apply(grey1),
             frame=maps[0].apply(frame),
             valid=(~ignored[0], ~ignored[1]) if any(part.any() for part in ignored) else None,
         )
-    return corrected
+    return pair
 
 
 def _global_shutter_maps(
@@ -75,34 +76,34 @@ def _global_shutter_maps(
     shape = estimate.inverse_depth.shape
     if estimate.status not in MOTION_STATUSES or estimate.motions is None:
         return None
-    rate = estimate.motions[0]
+    twist = estimate.motions[0]
     if pose is not None and pose.translation is not None:
-        rate = rigid_twist(pose.rotation, pose.translation)
+        twist = rigid_twist(pose.rotation, pose.translation)
     inverse_depth = _smooth_depth(estimate.inverse_depth)
-    if not (np.isfinite(rate).all() and np.isfinite(inverse_depth).all()):
+    if not (np.isfinite(twist).all() and np.isfinite(inverse_depth).all()):
         return None
     depths = [
         _sample(inverse_depth, interpolation_nodes(shape)),
-        _depth_of_frame1(inverse_depth, rate, camera),
+        _depth_of_frame1(inverse_depth, twist, camera),
     ]
-    first, second = (
-        UnrolledPixels(camera, camera.readout or 0.0, rate, depth, shape) for depth in depths
+    map0, map1 = (
+        UnrolledPixels(camera, camera.readout or 0.0, twist, depth, shape) for depth in depths
     )
-    return (first, second) if first.valid.any() and second.valid.any() else None
+    return (map0, map1) if map0.valid.any() and map1.valid.any() else None
 
 
 def _smooth_depth(inverse_depth: np.ndarray) -> np.ndarray:
-    """Return inverse depth, (H, W), smoothed by a Gaussian: steps of depth would tear the frames.
+    """Return inverse depth, (H, W), after a Gaussian filter: steps of depth would tear the frames.
 
-    Its standard deviation is the spacing of the grid on which the correction is computed.
+    The standard deviation is the spacing of the grid on which the correction is computed.
     """
     x = interpolation_nodes(inverse_depth.shape)[0, :, 0]
     return cv2.GaussianBlur(inverse_depth, (0, 0), float(x[1] - x[0]))
 
 
-def _depth_of_frame1(inverse_depth: np.ndarray, rate: np.ndarray, camera: Camera) -> np.ndarray:
+def _depth_of_frame1(inverse_depth: np.ndarray, twist: np.ndarray, camera: Camera) -> np.ndarray:
     """Return the inverse depth of frame 1 on the grid, (h, w), from that of frame 0, (H, W)."""
-    rotation, translation = rigid_motion(rate)
+    rotation, translation = rigid_motion(twist)
     center = np.array(camera.center_for(*inverse_depth.shape))
     nodes = interpolation_nodes(inverse_depth.shape)
     positions = nodes
@@ -118,7 +119,7 @@ def _depth_of_frame1(inverse_depth: np.ndarray, rate: np.ndarray, camera: Camera
 
 
 def _sample(image: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Return an image, (H, W) float32, at positions, (h, w, 2) px; its border repeats."""
+    """Return an image, (H, W) float32, at positions, (h, w, 2) px; its border pixels repeat."""
     x, y = np.moveaxis(positions.astype(np.float32), -1, 0)
     sampled = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(sampled, np.float64)

@@ -12,7 +12,7 @@ class EgomotionSettings:
     """First motion of the camera, from a flow field."""
 
     # egomotion
-    samples: int = 5000  # pixels of a flow that are fitted, about; neighbours are similar
+    samples: int = 5000  # fitted pixels of a flow, about; neighbours are similar
     inlier_distances: tuple[float, ...] = (0.05, 0.2, 0.8)  # px from epipolar lines, in USAC
     max_draws: int = 2000  # random samples of five correspondences
     start_samples: int = 1000  # samples that select the best start
@@ -55,7 +55,7 @@ class DepthSettings:
 
     # camera
     # longer sides: difference of parallax between near and far from which depth is carried
-    # across partly textureless frames. Below, coarse to fine follows weak texture better.
+    # across partly textureless frames. Below it, coarse to fine follows weak texture better.
     min_carried_range: float = 0.019
     # textureless share of a frame above which the images show mostly noise, so a finer flow field
     # refines the motion
@@ -76,9 +76,9 @@ class DepthSettings:
     # mean steps between neighbours in frame 0: largest difference of brightness that counts; for
     # derivatives of brightness a quarter
     max_brightness_difference: float = 2.4
-    guess_distance: float = 4.0  # px/frame: farther from the guess, depth costs more
+    guess_distance: float = 4.0  # px/frame: depth that differs more from the guess costs more
     guess_cost: float = 0.05  # cost of such a depth, if the guess has no trust
-    # additional cost for full trust; it decides where texture is missing
+    # additional cost of such a depth for full trust; it decides where texture is missing
     guess_cost_of_trust: float = 0.3
     step_cost: float = 0.3  # cost of a change between neighbours by one hypothesis
     jump_cost: float = 5.0  # cost of a larger change
@@ -95,7 +95,7 @@ class DepthSettings:
     min_deviation: float = 0.001  # px: smallest standard deviation of D
     # rigid_level
     min_refined_scale: float = 0.45  # sampling density of a level on which motions are refined
-    # times α: weak smoothness in steps of the motion, so that a pixel's depth adapts
+    # factor of α in steps of the motion: smoothness is weak, so that a pixel's depth adapts
     weak_smoothness: float = 1e-4
     median_window: int = 5  # px: side of the window of the median of depth after each linearisation
     max_quiet_residual: float = 0.15  # px: smoothness grows with the median residual above it
@@ -120,7 +120,8 @@ class DepthSettings:
     carried_warps: int = 3  # linearisations while depth is carried
     carried_iterations: int = 2  # iterations of each of these linearisations
     max_carried_ratio: float = 2.0  # carried depth over the largest matched depth
-    far_share: float = 0.01  # share of the matched pixels that the largest matched depth ignores
+    # share of the matched pixels, the farthest ones, that the largest matched depth ignores
+    ignored_far_share: float = 0.01
     # Standard deviations of D. The mean change of matched pixels nearby by the refinement is added
     # to them. Then 76% of the pixels of TartanAir lie within one deviation, and 52% of a HoloLens,
     # whose poses are not exact.
@@ -284,7 +285,7 @@ class ProposalSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class PreviousFrameSettings:
-    """Data of the previous frame. The bend is the sum of the flows to the next and to it."""
+    """Data of the previous frame. The bend is the flow to it plus the flow to the next frame."""
 
     # hidden share of a pixel of a coarser level that counts as hidden
     min_hidden_share: float = 0.5
@@ -299,11 +300,11 @@ class PreviousFrameSettings:
     visible_window: int = 3
     mean_radius: int = 2  # grid pixels: half the window that averages deviations from the bend
     half_trust_deviation: float = 0.3  # px: deviation from the bend that halves the trust in it
-    # px: the same for a pixel that the next frame hides
+    # px: `half_trust_deviation` for a pixel that is hidden in the next frame
     half_trust_deviation_if_hidden: float = 1.0
     # length of the bend of a steady motion over that of the backward flow
     max_bend_ratio: float = 0.5
-    max_bend_at_rest: float = 1.0  # px: length that is added to this limit
+    max_bend_at_rest: float = 1.0  # px: length that is added to the largest bend
     # residual of the predicted flow over that of a visible pixel's flow, if it replaces this flow
     max_residual_ratio: float = 0.8
     min_fitting_share: float = 0.5  # share of the pixels visible in three frames that fit the bend
@@ -333,11 +334,11 @@ class CheckSettings:
     # object that moves and fills a sixth to a third of the frame gives 0.52 and more; a picture
     # whose middle is replaced gives 0.28 at most.
     min_common_share: float = 0.4
-    min_square_correlation: float = 0.8  # correlation of a square that is found in the other frame
-    square: int = 15  # px: side of a square that is searched in the other frame
+    min_square_correlation: float = 0.8  # correlation of a square with its match in the other frame
+    square_side: int = 15  # px: side of a square that is searched in the other frame
     square_step: int = 5  # px between neighbouring squares
     min_textured_variance: float = 16.0  # variance of a textured window over that of the noise
-    # percentile of the variances of differences that is taken for the noise
+    # percentile of the variances of differences that gives the variance of the noise
     noise_percentile: int = 10
     min_textured_share: float = 0.05  # share of textured windows in frames that are evaluated
     # A frame consists of stripes if at most the first share of its windows has more than the second
@@ -349,7 +350,7 @@ class CheckSettings:
     max_flow: float = 0.5  # longer sides: 0.12 on benchmarks, 0.7 and more if flow diverges
     # share of the pixels that leave the image: at most 0.08 on benchmarks
     max_leaving_share: float = 0.5
-    # The same if matched points, a pose or the images confirm the motion: near objects cross the
+    # Both limits if matched points, a pose or the images confirm the motion: near objects cross the
     # whole image, and after a rotation by 20° two thirds of the pixels had left it.
     max_confirmed_flow: float = 1.0
     max_confirmed_leaving_share: float = 0.8
@@ -359,17 +360,17 @@ class CheckSettings:
     max_pose_ratio: float = 8.0
     min_pose_distance: float = 0.02  # px: smallest distance from the best motion in real frames
     # share of the visible texture that the flow field aligns better than motion and depth do: at
-    # most 0.11 if depth is off by less than a tenth, 0.17 and more if off by more than half
+    # most 0.11 if depth is wrong by less than a tenth, 0.17 and more if wrong by more than half
     max_unexplained_share: float = 0.15
     # gain of correlation by which the flow field aligns the frames better
     min_correlation_gain: float = 0.1
-    # share of the visible pixels behind the camera: at most 0.001 if depth is off by less than a
-    # tenth, 0.039 and more if off by more than half
+    # share of the visible pixels behind the camera: at most 0.001 if depth is wrong by less
+    # than a tenth, 0.039 and more if wrong by more than half
     max_behind_share: float = 0.03
     min_behind_deviations: float = 3.0  # standard deviations by which such a pixel lies behind
-    # share of the median |inverse depth| by which it lies behind as well
+    # share of the median |inverse depth| by which such a pixel also lies behind
     min_behind_depth: float = 0.1
-    # share of the visible pixels with uncertain depth: at most 0.03 if depth is off by < 0.15
+    # share of the visible pixels with uncertain depth: at most 0.03 if depth is wrong by < 15 %
     max_uncertain_share: float = 0.05
     # standard deviation of uncertain inverse depth, over itself and over the median
     max_relative_deviation: float = 0.5

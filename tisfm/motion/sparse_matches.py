@@ -24,7 +24,7 @@ class Features:
     """Points of a frame and their descriptors."""
 
     points: np.ndarray  # (N, 2) float64: (x, y), px from the upper left pixel's centre
-    # (N, 128) float32: square roots of the descriptors, which are normalised to sum 1
+    # (N, 128) float32: square roots of the descriptors after their normalisation to sum 1
     roots: np.ndarray
 
 
@@ -34,12 +34,12 @@ def sparse_matches(
     frame1: np.ndarray,
     # tuple of two (H, W) bool: pixels of each frame whose points are matched, by default all
     valid: tuple[np.ndarray, np.ndarray] | None = None,
-) -> Matches:  # always the same for the same frames; there may be none
+) -> Matches:  # always the same for the same frames; possibly none
     """Find points that look alike in two frames.
 
     Detected points are thinned out where they are dense, so a textured corner does not dominate.
-    Descriptors are compared by the Hellinger distance (RootSIFT). The two points of a match are
-    nearest to each other, and clearly nearer than the second nearest point.
+    Descriptors are compared by the Hellinger distance (RootSIFT). The descriptors of the two
+    points of a match are nearest to each other, and clearly nearer than the second nearest one.
 
     References
     ----------
@@ -48,13 +48,13 @@ def sparse_matches(
     should know to improve object retrieval", CVPR 2012, doi 10.1109/CVPR.2012.6248018.
     """
     low, high = np.percentile(frame0, SPARSE.grey_percentiles)
-    nothing = Matches(before=np.empty((0, 2)), after=np.empty((0, 2)))
+    no_matches = Matches(before=np.empty((0, 2)), after=np.empty((0, 2)))
     if not high > low:
-        return nothing
-    scaled = [np.clip((frame - low) * (255 / (high - low)), 0, 255) for frame in (frame0, frame1)]
-    wait_for_second = start_beside(detect_features, scaled[1]) if runtime.threads() > 1 else None
-    first = detect_features(scaled[0])
-    second = wait_for_second() if wait_for_second is not None else detect_features(scaled[1])
+        return no_matches
+    images = [np.clip((frame - low) * (255 / (high - low)), 0, 255) for frame in (frame0, frame1)]
+    wait_for_second = start_beside(detect_features, images[1]) if runtime.threads() > 1 else None
+    first = detect_features(images[0])
+    second = wait_for_second() if wait_for_second is not None else detect_features(images[1])
     if valid is not None:
         first, second = map(_select_features, (first, second), valid)
     index0, index1 = match_features(first, second)
@@ -93,7 +93,7 @@ def detect_features(frame: np.ndarray, *, per_cell: int = SPARSE.points_per_cell
 
 
 def _select_features(features: Features, valid: np.ndarray) -> Features:
-    """Return the points whose pixels count."""
+    """Return the features at used pixels."""
     column, row = np.rint(features.points).astype(np.intp).T
     height, width = valid.shape
     is_valid = valid[row.clip(0, height - 1), column.clip(0, width - 1)]
@@ -108,17 +108,17 @@ def _strongest_per_cell(
     cell = row * (column.max() + 1) + column
     order = np.lexsort((-response, cell))
     first = np.searchsorted(cell[order], cell[order])  # start of each point's cell
-    strongest = np.arange(len(order)) - first < max_per_cell
-    return np.sort(order[strongest])
+    is_strong = np.arange(len(order)) - first < max_per_cell
+    return np.sort(order[is_strong])
 
 
 def _nearest_descriptors(similarities: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return, for each row, the most alike column, and whether the next is clearly less alike."""
-    rest = np.array(similarities, order="C")
-    rows = np.arange(len(rest))
-    best = rest.argmax(axis=1)
+    """Return the most similar column of each row, and whether the next is clearly less similar."""
+    values = np.array(similarities, order="C")
+    rows = np.arange(len(values))
+    nearest = values.argmax(axis=1)
     # The squared distance of vectors of length 1 is 2 − 2 cos.
-    distance = 1 - rest[rows, best]
-    rest[rows, best] = -np.inf
-    second_distance = 1 - rest.max(axis=1)
-    return best, distance < SPARSE.max_descriptor_ratio**2 * second_distance
+    distance = 1 - values[rows, nearest]
+    values[rows, nearest] = -np.inf
+    second_distance = 1 - values.max(axis=1)
+    return nearest, distance < SPARSE.max_descriptor_ratio**2 * second_distance

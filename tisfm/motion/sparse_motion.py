@@ -24,9 +24,9 @@ from tisfm.motion.homographies import angle_between, plane_poses, sample_homogra
 from tisfm.motion.settings import SPARSE
 from tisfm.motion.sparse_matches import Matches
 
-# Of the information criterion GRIC:
-COORDINATES = 4  # of a match
-MAX_VARIANCES = 2.0  # squared error of a match for each predicted coordinate, in variances
+# For the information criterion GRIC:
+COORDINATES = 4  # coordinates of a match in both frames
+MAX_VARIANCES = 2.0  # largest squared error for each predicted coordinate, in variances
 
 Model = Literal["rotation", "plane", "depth"]
 _Motion = tuple[np.ndarray, np.ndarray, float]  # R, t and the residual, px
@@ -47,12 +47,12 @@ class SparseMotion:
     residual: float  # robust standard deviation of the distances from epipolar lines, px
     parallax: float  # median length of the displacements that `rotation_alone` leaves, px
     inliers: int  # number of matches that the motion explains
-    coverage: float  # share of the image's cells that hold an inlier
-    cost: float  # robust cost of all matches, with one scale for all motions of the pair
+    coverage: float  # share of the image's cells that contain an inlier
+    cost: float  # robust cost of all matches; all motions of the pair have the same scale
     rays: Rays  # the inliers
 
     def scaled(self, factor: float) -> "SparseMotion":
-        """Return the motion with its lengths, px, multiplied for another level."""
+        """Return the motion with its lengths, px, multiplied by a factor, for another level."""
         return replace(self, residual=factor * self.residual, parallax=factor * self.parallax)
 
 
@@ -67,8 +67,8 @@ def sparse_motions(
     random sampling, and decompositions of homographies. If the matches lie on one plane, they
     determine no essential matrix, and the homography gives the motion. Two motions may then remain.
 
-    Returns the motions, none if too few matches agree on one; and the cost of other motions on the
-    same scale, None without a motion.
+    Returns the motions, none if too few matches agree on a motion; and the cost of any motion on
+    the same scale, None without a motion.
 
     References
     ----------
@@ -96,15 +96,16 @@ def sparse_motions(
     match_cost = MatchCost(rays=rays, scale=scale)
     motions.sort(key=lambda motion: match_cost.cost(motion[:2]))
     model = _select_model(rays, motions[0][:2], homographies, scale)
-    limit = SPARSE.max_cost_ratio * match_cost.cost(motions[0][:2])
-    distinct: list[_Motion] = []
+    max_cost = SPARSE.max_cost_ratio * match_cost.cost(motions[0][:2])
+    unique_motions: list[_Motion] = []
     for motion in motions:
-        if match_cost.cost(motion[:2]) <= limit and all(
-            angle_between(motion[1], other[1]) >= SPARSE.min_translation_angle for other in distinct
+        if match_cost.cost(motion[:2]) <= max_cost and all(
+            angle_between(motion[1], other[1]) >= SPARSE.min_translation_angle
+            for other in unique_motions
         ):
-            distinct.append(motion)
+            unique_motions.append(motion)
     return [
-        _sparse_motion(match_cost, motion, model, camera, shape) for motion in distinct
+        _sparse_motion(match_cost, motion, model, camera, shape) for motion in unique_motions
     ], match_cost
 
 
@@ -128,9 +129,9 @@ def known_pose_motion(
 
 
 def pose_residual(rays: Rays, pose: Pose) -> float:
-    """Return the robust deviation of rays from the points that a motion allows, px."""
+    """Return the robust distance of rays from the epipolar lines of a motion, px."""
     points = nearest_points(rays, *pose)
-    # If the nearest point lies behind the camera, the point at infinity is the nearest allowed one.
+    # If the nearest point lies behind the camera, the point at infinity takes its place.
     distance = np.where(
         points.inverse_depth > 0,
         np.abs(points.distance),
@@ -147,7 +148,7 @@ class MatchCost:
     scale: float  # scale of their distances from epipolar lines, px
 
     def cost(self, pose: Pose) -> float:
-        """Return the robust cost of a motion. A match that it does not explain costs 1."""
+        """Return the robust cost of a motion; a match that the motion does not explain costs 1."""
         return pose_cost(self.rays, pose, self.scale)
 
 
@@ -166,7 +167,7 @@ def _rays(matches: Matches, camera: Camera, shape: tuple[int, int]) -> Rays:
 
 
 def _refine_poses(rays: Rays, starts: list[Pose], distances: tuple[float, ...]) -> list[_Motion]:
-    """Return motions refined by the matches near them, and their residuals, without duplicates."""
+    """Return motions, without duplicates, refined on nearby matches, and their residuals."""
     unknowns = FreeUnknowns(count=6, likely_rotation=None)
     poses: list[Pose] = starts
     motions: list[_Motion] = []
@@ -192,20 +193,20 @@ def _refine_poses(rays: Rays, starts: list[Pose], distances: tuple[float, ...]) 
 
 
 def _without_duplicates(motions: list[_AnyMotion]) -> list[_AnyMotion]:
-    """Return the motions without those that hardly differ from an earlier one."""
-    distinct: list[_AnyMotion] = []
+    """Return the motions without motions that hardly differ from an earlier motion."""
+    unique_motions: list[_AnyMotion] = []
     for motion in motions:
         if all(
             np.abs(motion[0] - other[0]).max() > SPARSE.max_duplicate_difference
             or np.abs(motion[1] - other[1]).max() > SPARSE.max_duplicate_difference
-            for other in distinct
+            for other in unique_motions
         ):
-            distinct.append(motion)
-    return distinct
+            unique_motions.append(motion)
+    return unique_motions
 
 
 def _is_inlier(rays: Rays, pose: Pose, max_distance: float) -> np.ndarray:
-    """Return which matches lie near their epipolar line and in front, (N,) bool."""
+    """Return which matches lie near their epipolar line, before the camera, (N,) bool."""
     points = nearest_points(rays, *pose)
     return (np.abs(points.distance) <= max_distance) & (points.inverse_depth > 0)
 
@@ -232,7 +233,7 @@ def _sparse_motion(
 
 
 def _coverage(rays: Rays, camera: Camera, shape: tuple[int, int]) -> float:
-    """Return the share of the image's cells that hold a match."""
+    """Return the share of the image's cells that contain a match."""
     height, width = shape
     center = np.array(camera.center_for(height, width))[:, None]
     points = rays.before[:2] * camera.focal + center + 0.5
@@ -266,11 +267,11 @@ def _homography_errors(rays: Rays, matrix: np.ndarray) -> np.ndarray:
     return rays.focal**2 * np.square(rotation_residual(rays, matrix)).sum(axis=0)
 
 
-def _gric(square: np.ndarray, scale: float, *, dimension: int, parameters: int) -> float:
+def _gric(squares: np.ndarray, scale: float, *, dimension: int, parameters: int) -> float:
     """Return GRIC: the errors plus the penalties for dimension and parameters of the model."""
     max_error = MAX_VARIANCES * (COORDINATES - dimension)
-    fit = float(np.minimum(square / scale**2, max_error).sum())
-    count = square.size
+    fit = float(np.minimum(squares / scale**2, max_error).sum())
+    count = squares.size
     return (
         fit + dimension * count * math.log(COORDINATES) + parameters * math.log(COORDINATES * count)
     )

@@ -44,12 +44,11 @@ class SparseStart:
 def sparse_start(
     pyramid: ImagePyramid,
     level: int,  # level whose frames decide between motions; the returned flow is on this level
-    # (rotation, translation) or None: motion of a flow field. It is kept if the matches fit it
-    # nearly as well as their best motion. It decides between motions that fit the images equally
-    # well.
+    # (rotation, translation) or None: motion of a flow field. Matches replace it only if their best
+    # motion fits them clearly better. It decides between motions that fit the images equally well.
     flow_pose: Pose | None,
 ) -> SparseStart | None:
-    """Return the motion of matches that fits the images best; None if there is no better motion."""
+    """Return the motion of matches that fits the images best; None if none beats `flow_pose`."""
     finest, matches = _matches(pyramid)
     motions, match_cost = sparse_motions(
         matches, pyramid.cameras[finest], pyramid.frames0[finest].shape
@@ -63,20 +62,21 @@ def sparse_start(
         return None
     candidates = [_SweptMotion(pyramid, level, motion) for motion in motions[: SPARSE.max_motions]]
     best_score = max(candidate.score for candidate in candidates)
-    equal = [
+    best_candidates = [
         candidate
         for candidate in candidates
         if candidate.score >= best_score - SPARSE.min_correlation_gain
     ]
-    chosen = equal[0]  # the motion of least cost for the matches
+    winner = best_candidates[0]  # the motion of least cost for the matches
     doubt = None
-    if len(equal) > 1 and flow_pose is not None:
-        chosen = min(
-            equal, key=lambda candidate: angle_between(candidate.motion.translation, flow_pose[1])
+    if len(best_candidates) > 1 and flow_pose is not None:
+        winner = min(
+            best_candidates,
+            key=lambda candidate: angle_between(candidate.motion.translation, flow_pose[1]),
         )
-    if len(equal) > 1 and (flow_pose is None or chosen.motion.model == "plane"):
+    if len(best_candidates) > 1 and (flow_pose is None or winner.motion.model == "plane"):
         doubt = TWO_MOTIONS
-    return chosen.start(1 / pyramid.scales[finest], doubt)
+    return winner.start(1 / pyramid.scales[finest], doubt)
 
 
 def known_pose_start(
@@ -86,7 +86,7 @@ def known_pose_start(
 ) -> tuple[SparseStart | None, Status | None]:
     """Return the start for a known motion, and a status if the motion seems wrong.
 
-    The start is None if too few matches agree with the motion. The status is None unless another
+    The start is None if too few matches agree with the motion. The status is set only if another
     motion fits the matches far better.
     """
     finest, matches = _matches(pyramid)
@@ -100,8 +100,8 @@ def known_pose_start(
             px_factor * pose_residual(motions[0].rays, candidate)
             for candidate in (pose, (rotation.T, -rotation.T @ translation))
         )
-        best = px_factor * max(motions[0].residual, SPARSE.min_residual)
-        doubt = pose_status(residual, best, inverse_residual=inverse_residual)
+        best_residual = px_factor * max(motions[0].residual, SPARSE.min_residual)
+        doubt = pose_status(residual, best_residual, inverse_residual=inverse_residual)
     motion = known_pose_motion(matches, camera, shape, pose)
     if motion is None:
         return None, doubt
@@ -119,7 +119,7 @@ def _matches(pyramid: ImagePyramid) -> tuple[int, Matches]:
 
 
 class _SweptMotion:
-    """The flow of one motion on a level, with depth from a plane sweep, and how well it matches."""
+    """The flow of a motion on a level, with depth from a plane sweep, and its fit."""
 
     def __init__(self, pyramid: ImagePyramid, level: int, motion: SparseMotion) -> None:
         self.motion = motion
@@ -127,12 +127,12 @@ class _SweptMotion:
         camera = pyramid.cameras[level]
         pose = np.column_stack([motion.rotation, motion.translation])
         labels = np.zeros(frame0.shape, np.int32)
-        scaled = scaled_translations(pose[None], labels, camera)[0]
+        scaled_pose = scaled_translations(pose[None], labels, camera)[0]
         inverse_depth = nearest_points(
             motion.rays, motion.rotation, motion.translation
         ).inverse_depth
         # inverse depth D of the matches, px/frame
-        match_depths = inverse_depth * (camera.focal / np.linalg.norm(scaled[:, 3]))
+        match_depths = inverse_depth * (camera.focal / np.linalg.norm(scaled_pose[:, 3]))
         max_depth = min(
             SPARSE.depth_margin * float(np.percentile(match_depths, SPARSE.depth_percentile)),
             max(frame0.shape),
@@ -143,25 +143,27 @@ class _SweptMotion:
         depth = sweep_depth(
             frame0,
             frame1,
-            scaled,
+            scaled_pose,
             camera,
             hypotheses,
             guess,
             np.zeros_like(guess),
             valid=pyramid.valid_on(level),
         )
-        self.flow = _flow(depth, scaled, camera)
+        self.flow = _flow(depth, scaled_pose, camera)
         correlations = correlation(frame0, frame1, self.flow)
         hidden = leaves_image(np.moveaxis(self.flow, -1, 0))
         if pyramid.masks is not None:
             hidden |= pyramid.masks.ignored_pixels(np.moveaxis(self.flow, -1, 0), level)
         weight = np.where(hidden, 0, texture(frame0))
-        total = float(weight.sum())
-        self.score = float((weight * correlations).sum() / total) if total > 0 else -1.0
+        total_weight = float(weight.sum())
+        self.score = (
+            float((weight * correlations).sum() / total_weight) if total_weight > 0 else -1.0
+        )
         self.trust = np.clip(weight * correlations, 0, 1).astype(np.float32)
         self.mismatch = (
             unrelated_status(frame0, frame1, self.flow, weight, is_free_flow=False)
-            if total > 0
+            if total_weight > 0
             else None
         )
 
@@ -177,7 +179,7 @@ class _SweptMotion:
 
 
 def _flow(depth: np.ndarray, motion: np.ndarray, camera: Camera) -> np.ndarray:
-    """Return the flow of points of inverse depth D under a motion, (h, w, 2), px/frame."""
+    """Return the flow of pixels with inverse depth D under a motion, (h, w, 2), px/frame."""
     height, width = depth.shape
     cx, cy = camera.center_for(height, width)
     x = (np.arange(width) - cx) / camera.focal

@@ -1,4 +1,4 @@
-"""Inverse depth of a partly textureless view: matched at texture, and carried across planes.
+"""Inverse depth of a partly textureless frame: matched at texture, and carried across planes.
 
 Textureless surfaces show only noise, which tells nothing about their depth. Planes are matched
 forward and backward (`tisfm.motion.matched_planes`). Second-order smoothness carries the matched
@@ -38,7 +38,7 @@ SECOND_ORDER = SecondOrderSettings(
 
 @dataclass(frozen=True, kw_only=True)
 class TexturelessSolution(RigidSolution):
-    """A rigid solution whose depth was partly carried, with its own deviation."""
+    """A rigid solution whose depth was partly carried, with the deviation of this depth."""
 
     carried_deviation: np.ndarray  # (H, W) float32: standard deviation of D
 
@@ -50,7 +50,7 @@ class TexturelessSolution(RigidSolution):
 def textureless_share(frame: np.ndarray, valid: np.ndarray | None = None) -> float:
     """Return the share of a frame's windows, (H, W) float32, that show only noise.
 
-    Only windows around the pixels of `valid`, (H, W) bool, take part, by default all.
+    The share is over the windows around the pixels of `valid`, (H, W) bool, by default all.
     """
     noise = noise_deviation(frame, valid=valid)
     is_textureless = (
@@ -67,8 +67,8 @@ def textureless_depth(
     # (3, 4) array: R and t, as from `tisfm.motion.rigid_depth.scaled_translations`
     motion: np.ndarray,
     *,
-    # (H, W) bool array: pixels whose matches and constraints count, by default all. Depth is
-    # carried to the others.
+    # (H, W) bool array: pixels whose matches and constraints are used, by default all. Depth is
+    # carried to the other pixels.
     support: np.ndarray | None = None,
 ) -> TexturelessSolution | None:
     """Estimate the inverse depth of every pixel under a known motion.
@@ -127,16 +127,16 @@ class _Level:
         problem = depth_problem(settings, focal)
         self.unknowns = unknowns = unknowns_on(pyramid, level, problem)
         self._grid = grid = unknowns.grid
-        reliable = planes.is_reliable.astype(np.float32)
-        depth, slopes = extend_depth(matched_depth, reliable, frame, SECOND_ORDER)
+        reliability = planes.is_reliable.astype(np.float32)
+        depth, slopes = extend_depth(matched_depth, reliability, frame, SECOND_ORDER)
         data_term = data_term_on(pyramid, level, problem, unknowns)
-        restricted = grid.allocate(data_term.constraints.shape[0])
+        line_constraints = grid.allocate(data_term.constraints.shape[0])
         self._minimiser = minimiser = SecondOrderMinimiser(
             grid,
-            anchors_in_lanes(grid, np.stack([reliable, reliable * matched_depth])),
+            anchors_in_lanes(grid, np.stack([reliability, reliability * matched_depth])),
             image_driven_factor(grid, frame, SECOND_ORDER.image_edges, pyramid.valid0(level)),
             SECOND_ORDER,
-            constraints=restricted,
+            constraints=line_constraints,
             scales=[DEPTH.constraint_weight * scale for scale in data_term.scales],
         )
         for component, values in enumerate((depth, *slopes)):
@@ -145,8 +145,8 @@ class _Level:
         flow, direction = grid.allocate(2, zeros=False), grid.allocate(2, zeros=False)
         texture_weights = texture_weight(frame, valid=pyramid.valid0(level))
         # factor of a constraint before squaring
-        share = np.float32(DEPTH.constraint_weight**0.5) * texture_weights * valid
-        image_to_lanes(grid, share, weight)
+        factor = np.float32(DEPTH.constraint_weight**0.5) * texture_weights * valid
+        image_to_lanes(grid, factor, weight)
         motions = np.ascontiguousarray(motion[None], np.float32)
         inverse_depth = minimiser.rho[:1]
         self._linearise = join_launches(
@@ -163,9 +163,9 @@ class _Level:
             ),
             data_term.bind_linearise(flow),
             restrict_to_line.bind(
-                grid, data_term.constraints, flow, direction, inverse_depth, restricted
+                grid, data_term.constraints, flow, direction, inverse_depth, line_constraints
             ),
-            multiply.bind(grid, weight, restricted),
+            multiply.bind(grid, weight, line_constraints),
         )
 
     def minimise(self, tolerance: float) -> tuple[list[Iteration], bool]:
@@ -177,7 +177,7 @@ class _Level:
     def limit_depth(self, planes: MatchedPlanes) -> None:
         """Set the unknowns to the minimiser's D, bounded from below."""
         min_depth = (
-            np.quantile(planes.inverse_depth[planes.is_reliable], DEPTH.far_share)
+            np.quantile(planes.inverse_depth[planes.is_reliable], DEPTH.ignored_far_share)
             / DEPTH.max_carried_ratio
         )
         self.unknowns.set_images(np.maximum(self._minimiser.images()[:1], np.float32(min_depth)))
@@ -199,15 +199,17 @@ class _Level:
 def _deviation(planes: MatchedPlanes, depth: np.ndarray, pyramid: ImagePyramid) -> np.ndarray:
     """Return the standard deviation of D, (H, W) float32, px/frame of the finest level.
 
-    It adds up the error of matching, the error for every px that depth was carried, and the change
-    of matched pixels nearby by the refinement. `depth`, (h, w) float32, is the refined D on the
-    level of the planes.
+    It combines the error of matching, the error for every px that depth was carried, and the
+    change of matched pixels nearby by the refinement. `depth`, (h, w) float32, is the refined D
+    on the level of the planes.
     """
-    reliable = planes.is_reliable.astype(np.float32)
+    reliability = planes.is_reliable.astype(np.float32)
     distance = cv2.distanceTransform((~planes.is_reliable).astype(np.uint8), cv2.DIST_L2, 5)
     window = (DEPTH.refinement_window, DEPTH.refinement_window)
-    refinement = cv2.blur(reliable * np.abs(depth - planes.inverse_depth), window)
-    refinement /= np.maximum(cv2.blur(reliable, window), np.float32(1 / DEPTH.refinement_window**2))
+    refinement = cv2.blur(reliability * np.abs(depth - planes.inverse_depth), window)
+    refinement /= np.maximum(
+        cv2.blur(reliability, window), np.float32(1 / DEPTH.refinement_window**2)
+    )
     deviation = np.sqrt(
         DEPTH.match_deviation**2 + (DEPTH.carried_deviation * distance) ** 2 + refinement**2
     )
@@ -223,8 +225,8 @@ def texture_weight(
 ) -> np.ndarray:
     """Return the weight of the texture in each window against noise, (H, W) float32, from 0 to 1.
 
-    A window whose variance is `half_variance` variances of the noise has ½. The noise is measured
-    on the pixels of `valid`, (H, W) bool, by default all.
+    The weight is ½ if the variance of a window is `half_variance` variances of the noise. The noise
+    is measured on the pixels of `valid`, (H, W) bool, by default all.
     """
     noise = noise_deviation(frame, valid=valid)
     variance = window_variance(frame, DEPTH.texture_window)

@@ -33,12 +33,12 @@ def correlation(
     frame0: np.ndarray,
     frame1: np.ndarray,
     flow: np.ndarray,  # (H, W, 2) float32: px/frame
-) -> np.ndarray:  # (H, W) float32: in [-1, 1]; 0 where both are flat
+) -> np.ndarray:  # (H, W) float32: in [-1, 1]; 0 where both frames are flat
     """Return the correlation of both frames along a flow, in a window around each pixel."""
     # Brightness may be on any scale, and squares of values far from 0 lose digits.
-    mean, unit = (np.float32(value(dtype=float)) for value in (frame0.mean, frame0.std))
+    mean, unit = (np.float32(statistic(dtype=float)) for statistic in (frame0.mean, frame0.std))
     frame0, frame1 = (frame0 - mean) / unit, (frame1 - mean) / unit
-    warped1 = warped(frame1, flow)
+    warped1 = warp_image(frame1, flow)
     mean0, mean1 = mean_in_windows(frame0), mean_in_windows(warped1)
     product = variance_in_windows(frame0, mean0) * variance_in_windows(warped1, mean1)
     return (mean_in_windows(frame0 * warped1) - mean0 * mean1) / np.sqrt(
@@ -54,7 +54,7 @@ def texture(frame: np.ndarray) -> np.ndarray:
     return variance / np.maximum(variance + median_variance, np.finfo(np.float32).tiny)
 
 
-def warped(image: np.ndarray, flow: np.ndarray) -> np.ndarray:
+def warp_image(image: np.ndarray, flow: np.ndarray) -> np.ndarray:
     """Return an image sampled bilinearly along a flow, (H, W, 2); outside, border pixels repeat.
 
     OpenCV's `remap` cannot be used: it rejects images with a side of 32,767 px or more.
@@ -65,13 +65,13 @@ def warped(image: np.ndarray, flow: np.ndarray) -> np.ndarray:
     y = np.clip(flow[..., 1] + np.arange(height, dtype=np.float32)[:, None], 0, height - 1)
     left = np.minimum(x.astype(np.intp), width - 2)
     top = np.minimum(y.astype(np.intp), height - 2)
-    across, down = x - left.astype(np.float32), y - top.astype(np.float32)
+    fraction_x, fraction_y = x - left.astype(np.float32), y - top.astype(np.float32)
     index = top * width + left
     values = image.ravel()
-    above = values[index] + across * (values[index + 1] - values[index])
+    above = values[index] + fraction_x * (values[index + 1] - values[index])
     index += width
-    below = values[index] + across * (values[index + 1] - values[index])
-    values_at_flow: np.ndarray = above + down * (below - above)
+    below = values[index] + fraction_x * (values[index + 1] - values[index])
+    values_at_flow: np.ndarray = above + fraction_y * (below - above)
     return values_at_flow
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.motion.camera import first_motion_estimate
 from tisfm.motion.estimate import Estimate, make_estimate
-from tisfm.motion.first_motion import FirstMotion, first_motion, matched_motion
+from tisfm.motion.first_motion import FirstMotion, first_motion, motion_from_matches
 from tisfm.motion.objects.boundaries import sharpen_labels
 from tisfm.motion.objects.candidates import motion_candidates, smallest_object
 from tisfm.motion.objects.depth import align_scales, carry_background_depth, restore_diverged_depth
@@ -204,7 +204,7 @@ def wide_baseline_motion(
     sparse = sparse_start(pyramid, start.level, None)
     if sparse is None:
         return start
-    matched = matched_motion(start, sparse)
+    matched = motion_from_matches(start, sparse)
     if matched.status == "unrelated":
         return matched
     camera = pyramid.cameras[0]
