@@ -28,7 +28,7 @@ def pytest_configure(config):
 def pytest_collection_modifyitems(config, items):
     """Start Taichi once, before any test builds a kernel; on a GPU there is one lane."""
     draws.mark_drawn(items)
-    if items and runtime.on_gpu():
+    if items and runtime.runs_on_gpu():
         wide = [item for item in items if _parameter(item, "lanes") not in (None, 1)]
         config.hook.pytest_deselected(items=wide)
         items[:] = [item for item in items if _parameter(item, "lanes") in (None, 1)]
@@ -41,7 +41,7 @@ def _parameter(item, name):
 @pytest.fixture(autouse=True)
 def arrays_on_the_device(monkeypatch):
     """On a GPU, give kernels copies there, as the driver does, and bring back what they left."""
-    if not runtime.on_gpu():
+    if not runtime.runs_on_gpu():
         return
     from tisfm.kernels.layout.lanes import LaneGrid, on_host
     from tisfm.kernels.layout.launch import Kernel

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import tisfm
-from tisfm.frames import eight_bit, grey_pair
+from tisfm.frames import grey_pair, to_eight_bit
 from tisfm.sources import FrameSource
 
 SIZE = (24, 40)
@@ -90,7 +90,7 @@ def test_a_single_pixel_does_not_decide(outlier):
     pair = [frame.astype(np.float32) / 255 for frame in textured_pair((96, 128))]
     pair[0][2, 3] = outlier
     assert np.ptp(grey_pair(*pair)[1]) > 200
-    assert len(np.unique(eight_bit(*pair))) > 100
+    assert len(np.unique(to_eight_bit(*pair))) > 100
 
 
 def test_a_sharpened_frame_has_the_scale_of_the_one_before():
@@ -149,9 +149,9 @@ def test_dark_frames_on_the_scale_of_8_bits_stay_dark(most):
 
 def test_the_scale_may_be_known_from_other_frames():
     frame = np.full(SIZE, 0.5)
-    assert grey_pair(frame, frame, stretch=False)[0][0, 0] == 0.5
-    assert eight_bit(frame, frame)[0, 0] == 128
-    assert eight_bit(frame, frame, stretch=False)[0, 0] == 0
+    assert grey_pair(frame, frame, scales_unit_range=False)[0][0, 0] == 0.5
+    assert to_eight_bit(frame, frame)[0, 0] == 128
+    assert to_eight_bit(frame, frame, scales_unit_range=False)[0, 0] == 0
 
 
 @pytest.mark.parametrize("black", [1, 2])
@@ -159,7 +159,7 @@ def test_dark_pairs_of_a_sequence_have_the_scale_of_those_before(black):
     bright = textured_pair()[0].astype(np.float32)
     frames = [bright, bright, *[bright / 255] * (1 + black)]
     pairs = list(FrameSource(frames))
-    assert [pair.stretch for pair in pairs] == [False] * (2 + black)
+    assert [pair.scales_unit_range for pair in pairs] == [False] * (2 + black)
     *_, last = tisfm.interpret_sequence(frames, settings=tisfm.Settings.preset("fast"))
     assert last.frame.max() <= 1
     *_, last = tisfm.interpret_sequence([bright / 255] * 2, settings=tisfm.Settings.preset("fast"))
@@ -214,7 +214,7 @@ def test_floats_of_two_widths_make_a_pair():
 @pytest.mark.parametrize("channels", [(), (3,)])
 def test_grey_levels_are_never_views(dtype, channels):
     frame = np.full((*SIZE, *channels), 7, dtype)
-    for grey in (*grey_pair(frame, frame), eight_bit(frame, frame)):
+    for grey in (*grey_pair(frame, frame), to_eight_bit(frame, frame)):
         assert not np.shares_memory(grey, frame)
         assert grey.flags.c_contiguous
 
@@ -239,7 +239,7 @@ def test_lists_are_arrays():
     ],
 )
 def test_the_picture_has_the_pairs_factor(frame0, frame1, shown):
-    picture = eight_bit(np.full(SIZE, frame0), np.full(SIZE, frame1))
+    picture = to_eight_bit(np.full(SIZE, frame0), np.full(SIZE, frame1))
     assert picture.dtype == np.uint8
     assert (picture == shown).all()
 

@@ -159,7 +159,7 @@ def test_oblong_pixels_are_resampled(scene, focal, distortion):
     assert inner.mean() > 0.4
     assert np.abs(found - expected)[inner].max() < 2
     assert np.abs(found - expected)[inner].mean() < 0.3
-    depth = np.where(lens.valid, lens.nearest(columns * 100 + rows), np.nan)
+    depth = np.where(lens.valid, lens.apply_nearest(columns * 100 + rows), np.nan)
     assert np.isnan(depth).mean() == pytest.approx(1 - lens.valid.mean())
 
 
@@ -167,10 +167,10 @@ def test_depth_of_oblong_pixels_is_that_of_the_resampled_frame():
     camera = Camera((100.0, 200.0), center=(20, 10))
     lens = Undistortion(camera, 21, 41)
     rows, columns = np.mgrid[:21, :41].astype(np.float32)
-    np.testing.assert_array_equal(lens.nearest(columns)[lens.valid], columns[lens.valid])
+    np.testing.assert_array_equal(lens.apply_nearest(columns)[lens.valid], columns[lens.valid])
     expected = 10 + 2 * (rows - 10)
-    np.testing.assert_array_equal(lens.nearest(rows)[lens.valid], expected[lens.valid])
-    assert np.isnan(lens.nearest(rows)[~lens.valid]).all()
+    np.testing.assert_array_equal(lens.apply_nearest(rows)[lens.valid], expected[lens.valid])
+    assert np.isnan(lens.apply_nearest(rows)[~lens.valid]).all()
     np.testing.assert_array_equal(lens.valid, (expected >= 0) & (expected <= 20))
 
 
@@ -363,7 +363,7 @@ def test_pixels_without_data_are_occluded_and_have_no_confidence(scene):
     frames = scene.frame0, scene.frame1
     result = tisfm.interpret(*frames, camera=camera)
     lens = Undistortion(camera, *scene.frame0.shape)
-    missing = lens.missing(np.moveaxis(result.flow, -1, 0))
+    missing = lens.pixels_without_data(np.moveaxis(result.flow, -1, 0))
     assert 0.03 < (~lens.valid).mean() < 0.3 and missing[~lens.valid].all()
     assert result.occlusion[missing].all() and not result.confidence[missing].any()
     assert result.confidence[~missing].mean() > 0.5 and result.occlusion[~missing].mean() < 0.1
@@ -373,14 +373,14 @@ def test_pixels_that_move_to_missing_data_are_missing():
     lens = Undistortion(Camera(60.0, distortion=PINCUSHION), 40, 60)
     assert lens.valid[20, 10] and not lens.valid[0, 0]
     flow = np.zeros((2, 40, 60), np.float32)
-    np.testing.assert_array_equal(lens.missing(flow), ~lens.valid)
+    np.testing.assert_array_equal(lens.pixels_without_data(flow), ~lens.valid)
     flow[:, 20, 10] = -10.4, -20.4
     flow[:, 20, 30] = np.nan
     flow[:, 20, 31] = np.inf
     flow[:, 20, 32] = -10.4, -10.4
     expected = ~lens.valid
     expected[20, 10] = expected[20, 30] = expected[20, 31] = True
-    np.testing.assert_array_equal(lens.missing(flow), expected)
+    np.testing.assert_array_equal(lens.pixels_without_data(flow), expected)
 
 
 @pytest.mark.parametrize("kind", ["uint8", "uint16", "unit float", "colour"])

@@ -37,7 +37,7 @@ __all__ = [
     "reconstruct_stream",
 ]
 
-_DEFINED_IN = {
+_MODULE_BY_NAME = {
     "Camera": "tisfm.camera",
     "Interpretation": "tisfm.interpretation",
     "MovingObject": "tisfm.reconstruction.result.moving_object",
@@ -90,8 +90,8 @@ if not Path(__file__).with_name("kernels").is_dir():
 
 def __getattr__(name: str) -> Any:
     """Load a public name or a submodule when it is first used."""
-    if name in _DEFINED_IN:
-        value = getattr(import_module(_DEFINED_IN[name]), name)
+    if name in _MODULE_BY_NAME:
+        value = getattr(import_module(_MODULE_BY_NAME[name]), name)
         globals()[name] = value  # the next use finds it without this function
         return value
     if name in _SUBMODULES:

@@ -10,8 +10,8 @@ import numpy as np
 
 from tisfm.errors import InputError, InputTypeError
 
-COEFFICIENTS = (4, 5, 8, 12, 14)  # numbers of distortion coefficients that OpenCV accepts
-# The power of the radius that each coefficient multiplies; the tilt has none.
+COEFFICIENT_COUNTS = (4, 5, 8, 12, 14)  # numbers of distortion coefficients that OpenCV accepts
+# Power of the radius that each coefficient multiplies; the two coefficients of the tilt have none.
 RADIUS_POWERS = (2, 4, 1, 1, 6, 2, 4, 6, 1, 3, 1, 3)
 # Focal lengths, px: outside this range, squares of x̂ and ŷ exceed the range of float32.
 MIN_FOCAL = 1e-3
@@ -55,7 +55,7 @@ class Camera:
     ------
     TypeError, ValueError
         If a value is not a finite number; if a focal length or the aspect is not positive; if the
-        number of coefficients is another one; if both fy and an aspect other than 1 are given.
+        number of coefficients is not one of these; if both fy and an aspect other than 1 are given.
 
     Examples
     --------
@@ -85,21 +85,21 @@ class Camera:
         aspect: float = 1.0,
         readout: float | None = None,
     ) -> None:
-        aspect = _positive(aspect, "aspect", "fy / fx", unit="")
+        aspect = _check_positive(aspect, "aspect", "fy / fx", unit="")
         if isinstance(focal, (tuple, list, np.ndarray)):
             if aspect != 1:
                 raise InputError(
                     f"focal is {focal!r} and aspect is {aspect:g}: give one of fy and aspect"
                 )
-            fx, fy = _focals(focal)
+            fx, fy = _check_focals(focal)
             focal, aspect = min(fx, fy), fy / fx
-        coefficients = None if distortion is None else _coefficients(distortion)
+        coefficients = None if distortion is None else _check_coefficients(distortion)
         values = {
-            "focal": _positive(focal, "focal", "the focal length"),
-            "center": None if center is None else _center(center),
+            "focal": _check_positive(focal, "focal", "the focal length"),
+            "center": None if center is None else _check_center(center),
             "distortion": coefficients if coefficients and any(coefficients) else None,
             "aspect": aspect,
-            "readout": None if readout is None else _readout(readout),
+            "readout": None if readout is None else _check_readout(readout),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -132,7 +132,7 @@ class Camera:
         return replace(self, distortion=None, aspect=1.0)
 
     def with_focal(self, focal: float) -> "Camera":
-        """Return a camera with another focal length that displaces every pixel as this one does.
+        """Return a camera with another focal length whose lens displaces pixels in the same way.
 
         The distortion coefficients multiply powers of the radius in units of the focal length, so
         they change with the focal length.
@@ -185,7 +185,7 @@ class Camera:
 
 
 def check_camera(camera: Camera | None) -> Camera:
-    """Return the camera, by default the paper's; raise unless it is a camera in plausible range."""
+    """Return the camera, or the paper's for None; raise if it is no camera or out of range."""
     if camera is None:
         return Camera()
     if not isinstance(camera, Camera):
@@ -202,40 +202,40 @@ def check_camera(camera: Camera | None) -> Camera:
 def check_pinhole(camera: Camera, advice: str) -> None:
     """Raise InputError with the advice if the camera has distortion or oblong pixels."""
     if not camera.is_pinhole:
-        what = "oblong pixels" if camera.distortion is None else "distortion"
-        raise InputError(f"camera has {what}, which does not belong here: {advice}")
+        defect = "oblong pixels" if camera.distortion is None else "distortion"
+        raise InputError(f"camera has {defect}, which is not allowed here: {advice}")
 
 
-def _center(value: tuple[float, float]) -> tuple[float, float]:
+def _check_center(value: tuple[float, float]) -> tuple[float, float]:
     try:
         cx, cy = value
     except (TypeError, ValueError):
         raise InputError(
             f"center is {value!r}: give the principal point as (cx, cy), in px"
         ) from None
-    return _number(cx, "center[0]"), _number(cy, "center[1]")
+    return _check_number(cx, "center[0]"), _check_number(cy, "center[1]")
 
 
-def _focals(value: Any) -> tuple[float, float]:
+def _check_focals(value: Any) -> tuple[float, float]:
     try:
         fx, fy = value
     except (TypeError, ValueError):
         raise InputTypeError(
             f"focal is {value!r}: expected a number, or two as (fx, fy), in px"
         ) from None
-    what = "the focal length"
-    return _positive(fx, "focal[0]", what), _positive(fy, "focal[1]", what)
+    quantity = "the focal length"
+    return _check_positive(fx, "focal[0]", quantity), _check_positive(fy, "focal[1]", quantity)
 
 
-def _positive(value: object, name: str, what: str, *, unit: str = ", in px") -> float:
-    number = _number(value, name, unit=unit)
+def _check_positive(value: object, name: str, quantity: str, *, unit: str = ", in px") -> float:
+    number = _check_number(value, name, unit=unit)
     if number <= 0:
-        raise InputError(f"{name} is {number:g}: {what} must be positive{unit}")
+        raise InputError(f"{name} is {number:g}: {quantity} must be positive{unit}")
     return number
 
 
-def _readout(value: object) -> float:
-    number = _number(value, "readout", unit=", a share of the time between frames")
+def _check_readout(value: object) -> float:
+    number = _check_number(value, "readout", unit=", a share of the time between frames")
     if not -1 <= number <= 1:
         raise InputError(
             f"readout is {number:g}: expected -1 to 1, a share of the time from a frame to the next"
@@ -243,24 +243,27 @@ def _readout(value: object) -> float:
     return number
 
 
-def _coefficients(value: Iterable[float]) -> tuple[float, ...]:
+def _check_coefficients(value: Iterable[float]) -> tuple[float, ...]:
     if isinstance(value, np.ndarray) and value.ndim == 2 and 1 in value.shape:
         value = value.ravel()  # OpenCV returns one row or one column
     try:
-        items = tuple(value)
+        coefficients = tuple(value)
     except TypeError:
         raise InputTypeError(
             f"distortion is {value!r}: give OpenCV's coefficients as (k1, k2, p1, p2[, k3, …])"
         ) from None
-    if len(items) not in COEFFICIENTS:
+    if len(coefficients) not in COEFFICIENT_COUNTS:
         raise InputError(
-            f"distortion has {len(items)} coefficient{'s' * (len(items) != 1)}: expected 4, 5, 8, "
-            "12 or 14, in OpenCV's order (k1, k2, p1, p2[, k3, …])"
+            f"distortion has {len(coefficients)} coefficient{'s' * (len(coefficients) != 1)}: "
+            "expected 4, 5, 8, 12 or 14, in OpenCV's order (k1, k2, p1, p2[, k3, …])"
         )
-    return tuple(_number(item, f"distortion[{k}]", unit="") for k, item in enumerate(items))
+    return tuple(
+        _check_number(coefficient, f"distortion[{k}]", unit="")
+        for k, coefficient in enumerate(coefficients)
+    )
 
 
-def _number(value: object, name: str, *, unit: str = ", in px") -> float:
+def _check_number(value: object, name: str, *, unit: str = ", in px") -> float:
     if isinstance(value, bool) or not isinstance(value, Real):
         raise InputTypeError(f"{name} is {value!r}: expected a number{unit}")
     try:

@@ -13,12 +13,11 @@ from tisfm.formats.reading import read_json
 
 __all__ = ["read_camera", "write_camera"]
 
-FORMAT = 2
-NAME = "camera.json"  # of the file in the folder of a reconstruction
+FORMAT = 2  # version of the format
+FILE_NAME = "camera.json"  # in the folder of a reconstruction
 MAX_SIDE = 2**20  # px: the longest side of a frame that a file may have
-MAX_ASPECT_DIFFERENCE = (
-    0.01  # relative difference of two aspect ratios below which they count as equal
-)
+# Relative difference of two aspect ratios up to which they count as equal.
+MAX_ASPECT_DIFFERENCE = 0.01
 
 
 def write_camera(
@@ -27,7 +26,7 @@ def write_camera(
     shape: tuple[int, int],
     about: dict[str, Any] | None = None,
 ) -> None:
-    """Write a camera as JSON, whole or not at all.
+    """Write a camera as JSON; after an error there is no incomplete file.
 
     Parameters
     ----------
@@ -70,8 +69,8 @@ def read_camera(path: str | os.PathLike[str], shape: tuple[int, int] | None = No
     path : path
         The file, or the folder of a reconstruction.
     shape : (int, int), optional
-        Height and width of the frames that need a camera, px. If these are an enlarged or shrunk
-        version of the frames in the file, the camera is scaled accordingly.
+        Height and width of the frames for which the camera is needed, px. If these are enlarged or
+        shrunk frames of the file's camera, the camera is scaled accordingly.
 
     Returns
     -------
@@ -126,12 +125,12 @@ def read_camera(path: str | os.PathLike[str], shape: tuple[int, int] | None = No
             f"{file} is the camera of frames of {width}×{height} px, not of {shape[1]}×{shape[0]}: "
             "give the camera of frames with that aspect ratio"
         )
-    scaled = camera.scaled(ratios[1], height, width)
-    return scaled if camera.center is not None else replace(scaled, center=None)
+    scaled_camera = camera.scaled(ratios[1], height, width)
+    return scaled_camera if camera.center is not None else replace(scaled_camera, center=None)
 
 
 def focal_doubt(path: str | os.PathLike[str]) -> str:
-    """Return why the focal length in a camera file is doubtful, or "" if it is not."""
+    """Return why the focal length in a camera file is doubtful, or "" if it is reliable."""
     record = read_camera_record(path)
     return "" if record.get("seen", True) else str(record.get("message", ""))
 
@@ -151,4 +150,4 @@ def read_camera_record(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 def camera_file_path(path: str | os.PathLike[str]) -> Path:
     """Return the camera file; the path may also be the folder that holds it."""
-    return Path(path) / NAME if Path(path).is_dir() else Path(path)
+    return Path(path) / FILE_NAME if Path(path).is_dir() else Path(path)

@@ -51,7 +51,7 @@ class MissingPackageError(TisfmError, ModuleNotFoundError):
     """An optional package is not installed, or lacks a feature."""
 
 
-class OutOfMemoryError(MemoryError, TisfmError):  # in this order it can be unpickled
+class OutOfMemoryError(MemoryError, TisfmError):  # in the other order unpickling fails
     """There is not enough memory or address space."""
 
 

@@ -15,13 +15,14 @@ from tisfm.errors import InputError, InputTypeError
 
 __all__ = ["FocalGuess", "GuessedFocalWarning", "guess_camera", "guess_focal"]
 
-DEFAULT_FOCAL_RATIO = (
-    1.2  # of the longer side: a field of view of 45°, between phones and other cameras
-)
+# Focal length over the longer side: a field of view of 45°, between phones and other cameras.
+DEFAULT_FOCAL_RATIO = 1.2
 FILM_DIAGONAL = math.hypot(36, 24)  # mm
-FOCAL_RATIO_RANGE = (0.1, 100)  # of the longer side: EXIF data outside this range are wrong
-_SIDEWAYS = (5, 6, 7, 8)  # orientations in EXIF data that exchange height and width
-_MILLIMETRES = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # mm per unit of EXIF resolution; 2 is inch
+# Focal length over the longer side: EXIF data outside this range are wrong.
+FOCAL_RATIO_RANGE = (0.1, 100)
+_SIDEWAYS_ORIENTATIONS = (5, 6, 7, 8)  # orientations in EXIF data that exchange height and width
+# mm, by the code of the unit of resolution in EXIF data: inch, cm, mm and µm
+_UNIT_LENGTHS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 
 
 class GuessedFocalWarning(UserWarning):
@@ -86,14 +87,14 @@ def guess_focal(source: str | os.PathLike[str] | Sequence[int]) -> FocalGuess:
     Examples
     --------
     >>> from tisfm.focal_guess import guess_focal
-    >>> guess = guess_focal((480, 640))  # or the path of a picture, whose EXIF data may state it
+    >>> guess = guess_focal((480, 640))  # or the path of a picture with EXIF data
     >>> guess.focal, guess.origin
     (768.0, 'size')
     """
     if isinstance(source, (str, os.PathLike)):
         size, exif = _read_size_and_exif(source)
-        return _from_exif(size, exif) or _from_size(size)
-    return _from_size(_checked_size(source))
+        return _guess_from_exif(size, exif) or _guess_from_size(size)
+    return _guess_from_size(_check_size(source))
 
 
 def guess_camera(source: str | os.PathLike[str] | Sequence[int]) -> Camera:
@@ -122,10 +123,10 @@ def guess_camera(source: str | os.PathLike[str] | Sequence[int]) -> Camera:
     --------
     >>> import warnings
     >>> from tisfm.focal_guess import GuessedFocalWarning, guess_camera
-    >>> with warnings.catch_warnings(record=True) as said:
+    >>> with warnings.catch_warnings(record=True) as caught_warnings:
     ...     warnings.simplefilter("always")
     ...     camera = guess_camera("frame0.png")
-    >>> camera.focal, said[0].category is GuessedFocalWarning
+    >>> camera.focal, caught_warnings[0].category is GuessedFocalWarning
     (76.8, True)
     """
     guess = guess_focal(source)
@@ -151,48 +152,48 @@ def at_size(shape: tuple[int, int] | None) -> str:
     return "" if shape is None else f" (at {shape[1]}×{shape[0]})"
 
 
-def _from_size(size: tuple[int, int]) -> FocalGuess:
+def _guess_from_size(size: tuple[int, int]) -> FocalGuess:
     return FocalGuess(
         focal=DEFAULT_FOCAL_RATIO * max(size),
         origin="size",
-        reason=f"{DEFAULT_FOCAL_RATIO:g} times the longer side, as no EXIF data state it",
+        reason=f"{DEFAULT_FOCAL_RATIO:g} times the longer side, without usable EXIF data",
         shape=size,
     )
 
 
-def _from_exif(size: tuple[int, int], exif: Mapping[int, Any]) -> FocalGuess | None:
+def _guess_from_exif(size: tuple[int, int], exif: Mapping[int, Any]) -> FocalGuess | None:
     """Return the guess from the EXIF data of an image of this size (H, W), or None."""
     width, height = (
-        _positive(exif, tag)
+        _positive_entry(exif, tag)
         for tag in (ExifTags.Base.ExifImageWidth, ExifTags.Base.ExifImageHeight)
     )
-    original = (height, width) if height and width else size
-    # Compare longer with longer side: the image may have been turned upright.
-    scale = max(pick(size) / pick(original) for pick in (max, min))
-    film = _positive(exif, ExifTags.Base.FocalLengthIn35mmFilm)
-    if film:
-        focal = film / FILM_DIAGONAL * math.hypot(*original) * scale
-        if _plausible(focal, size):
-            reason = f"from the image's EXIF data ({film:g} mm in terms of 35 mm film)"
+    original_size = (height, width) if height and width else size
+    # Compare the longer with the longer side: the image may have been turned upright.
+    scale = max(pick(size) / pick(original_size) for pick in (max, min))
+    film_focal = _positive_entry(exif, ExifTags.Base.FocalLengthIn35mmFilm)
+    if film_focal:
+        focal = film_focal / FILM_DIAGONAL * math.hypot(*original_size) * scale
+        if _is_plausible(focal, size):
+            reason = f"from the image's EXIF data ({film_focal:g} mm in terms of 35 mm film)"
             return FocalGuess(focal=focal, origin="exif", reason=reason, shape=size)
-    length = _positive(exif, ExifTags.Base.FocalLength)
-    resolution = _positive(exif, ExifTags.Base.FocalPlaneXResolution)
-    unit = _MILLIMETRES.get(exif.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))
-    if length and resolution and unit:
-        density = resolution / unit
-        focal = length * density * scale
-        if _plausible(focal, size):
-            reason = f"from the image's EXIF data ({length:g} mm, {density:.4g} px/mm)"
+    true_focal = _positive_entry(exif, ExifTags.Base.FocalLength)
+    resolution = _positive_entry(exif, ExifTags.Base.FocalPlaneXResolution)
+    unit_length = _UNIT_LENGTHS.get(exif.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))
+    if true_focal and resolution and unit_length:
+        density = resolution / unit_length
+        focal = true_focal * density * scale
+        if _is_plausible(focal, size):
+            reason = f"from the image's EXIF data ({true_focal:g} mm, {density:.4g} px/mm)"
             return FocalGuess(focal=focal, origin="exif", reason=reason, shape=size)
     return None
 
 
-def _plausible(focal: float, size: tuple[int, int]) -> bool:
+def _is_plausible(focal: float, size: tuple[int, int]) -> bool:
     min_ratio, max_ratio = FOCAL_RATIO_RANGE
     return min_ratio * max(size) <= focal <= max_ratio * max(size)
 
 
-def _positive(exif: Mapping[int, Any], tag: int) -> float | None:
+def _positive_entry(exif: Mapping[int, Any], tag: int) -> float | None:
     """Return a positive finite number of the EXIF data, or None: 0 means unknown."""
     try:
         value = float(exif[tag])
@@ -212,7 +213,7 @@ def _read_size_and_exif(path: str | os.PathLike[str]) -> tuple[tuple[int, int], 
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about damaged EXIF data and large pictures
             with Image.open(io.BytesIO(data), formats=PILLOW_FORMATS) as picture:
-                return _upright_size(picture), _exif(picture)
+                return _upright_size(picture), _read_exif(picture)
     except MemoryError:
         raise
     except Exception:  # Pillow cannot read the format or the size, but OpenCV may
@@ -223,7 +224,7 @@ def _read_size_and_exif(path: str | os.PathLike[str]) -> tuple[tuple[int, int], 
 def _upright_size(picture: Image.Image) -> tuple[int, int]:
     """Return height and width of the picture once it is turned as its EXIF data say."""
     try:
-        is_turned = picture.getexif().get(ExifTags.Base.Orientation) in _SIDEWAYS
+        is_turned = picture.getexif().get(ExifTags.Base.Orientation) in _SIDEWAYS_ORIENTATIONS
     except MemoryError:
         raise
     except Exception:  # Pillow raises many kinds for damaged EXIF data
@@ -232,7 +233,7 @@ def _upright_size(picture: Image.Image) -> tuple[int, int]:
     return (width, height) if is_turned else (height, width)
 
 
-def _exif(picture: Image.Image) -> Mapping[int, Any]:
+def _read_exif(picture: Image.Image) -> Mapping[int, Any]:
     try:
         return dict(picture.getexif().get_ifd(ExifTags.IFD.Exif))
     except MemoryError:
@@ -241,7 +242,7 @@ def _exif(picture: Image.Image) -> Mapping[int, Any]:
         return {}
 
 
-def _checked_size(shape: Sequence[int]) -> tuple[int, int]:
+def _check_size(shape: Sequence[int]) -> tuple[int, int]:
     try:
         height, width, *_ = (int(side) for side in shape)
     except TypeError:

@@ -11,9 +11,9 @@ from tisfm.errors import InputError, InputTypeError
 MIN_SIDE = 4  # px: on a shorter side a five-tap derivative depends mainly on the border
 MAX_GREY = 1e36  # grey levels: differences of such values still fit into float32
 # Float frames in [0, 1] may overshoot. Each pair is a distance beyond [0, 1], and the largest share
-# of values that may lie farther out. 0.01 allows for rounding; resampling and sharpening take up
-# to a sixth of the values beyond it. 1 allows for strong sharpening, 10 for bright spots. A frame
-# on the 8-bit scale that passes these limits is black apart from spots: 99% of its values are at
+# of values that may lie farther out. 0.01 allows for rounding: after resampling and sharpening, up
+# to a sixth of the values lie farther out. 1 allows for strong sharpening, 10 for bright spots. A
+# frame on the 8-bit scale within these limits is black apart from spots: 99% of its values are at
 # most grey level 2.
 MAX_OVERSHOOTS = ((0.01, 0.2), (1.0, 0.01), (10.0, 0.001))
 ROWS_PER_STEP = 32  # rows converted at a time, few enough to stay in the cache
@@ -30,7 +30,7 @@ def grey_pair(
     *,
     # Whether float frames in [0, 1] are multiplied by 255. False if other frames of the sequence
     # show that the frames are already on the 8-bit scale.
-    stretch: bool = True,
+    scales_unit_range: bool = True,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Validate a pair of frames and convert it to grey levels.
 
@@ -54,8 +54,8 @@ def grey_pair(
             f"frame1 is {second.dtype} but frame0 is {first.dtype}: "
             "frames of a pair must have the same type"
         )
-    factor = _factor(first, second, stretch=stretch)
-    return _grey(first, factor), _grey(second, factor)
+    factor = _grey_factor(first, second, scales_unit_range=scales_unit_range)
+    return _to_grey(first, factor), _to_grey(second, factor)
 
 
 def check_frame(frame: npt.ArrayLike, name: str) -> np.ndarray:
@@ -68,8 +68,8 @@ def check_frame(frame: npt.ArrayLike, name: str) -> np.ndarray:
     refuse_masked(
         frame,
         name,
-        f"every pixel counts as seen, so fill them, for instance by {name}.filled(0), and leave "
-        "out of the result what they cover",
+        f"every pixel of a frame is used: fill them, for instance by {name}.filled(0), and do not "
+        "use the result at these pixels",
     )
     try:
         array = np.asarray(frame)
@@ -91,21 +91,23 @@ def check_frame(frame: npt.ArrayLike, name: str) -> np.ndarray:
             f"{name} is {height} × {width} px: expected at least {MIN_SIDE} × {MIN_SIDE}"
         )
     if _is_float(array) and not np.isfinite(array).all():
-        bad = int(array.size - np.isfinite(array).sum())
+        invalid_count = int(array.size - np.isfinite(array).sum())
         raise InputError(
-            f"{name} is NaN or infinite at {bad} of {array.size} values: replace them, for "
-            "instance by np.nan_to_num, before interpreting"
+            f"{name} is NaN or infinite at {invalid_count} of {array.size} values: replace them, "
+            "for instance by np.nan_to_num, before interpreting"
         )
     return array
 
 
-def eight_bit(frame0: npt.ArrayLike, frame1: npt.ArrayLike, *, stretch: bool = True) -> np.ndarray:
+def to_eight_bit(
+    frame0: npt.ArrayLike, frame1: npt.ArrayLike, *, scales_unit_range: bool = True
+) -> np.ndarray:
     """Return frame 0 of a pair as uint8 for display, scaled by the factor of `grey_pair`."""
     first, second = check_frame(frame0, "frame0"), check_frame(frame1, "frame1")
     if first.dtype == np.uint8:
         return first.copy()
     scaled = first.astype(np.float32, order="C") * np.float32(
-        _factor(first, second, stretch=stretch)
+        _grey_factor(first, second, scales_unit_range=scales_unit_range)
     )
     return np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
 
@@ -124,8 +126,8 @@ def in_unit_range(frame: np.ndarray) -> bool:
     if frame.min() >= 0 and frame.max() <= 1:  # true for most frames, in a tenth of the time
         return True
     return all(
-        np.count_nonzero((frame < -beyond) | (frame > 1 + beyond)) <= share * frame.size
-        for beyond, share in MAX_OVERSHOOTS
+        np.count_nonzero((frame < -overshoot) | (frame > 1 + overshoot)) <= max_share * frame.size
+        for overshoot, max_share in MAX_OVERSHOOTS
     )
 
 
@@ -133,15 +135,15 @@ def _is_float(array: np.ndarray) -> bool:
     return bool(np.issubdtype(array.dtype, np.floating))
 
 
-def _factor(first: np.ndarray, second: np.ndarray, *, stretch: bool) -> float:
+def _grey_factor(first: np.ndarray, second: np.ndarray, *, scales_unit_range: bool) -> float:
     if first.dtype == np.uint16:
         return 1 / 257
-    if stretch and _is_float(first) and in_unit_range(first) and in_unit_range(second):
+    if scales_unit_range and _is_float(first) and in_unit_range(first) and in_unit_range(second):
         return 255.0
     return 1.0
 
 
-def _grey(frame: np.ndarray, factor: float) -> np.ndarray:
+def _to_grey(frame: np.ndarray, factor: float) -> np.ndarray:
     with np.errstate(over="ignore"):
         grey = _luma(frame) if frame.ndim == 3 else frame.astype(np.float32, order="C")
         if factor != 1:
@@ -156,12 +158,12 @@ def _luma(frame: np.ndarray) -> np.ndarray:
     """Return the luma of an RGB frame, (H, W) float32."""
     grey = np.empty(frame.shape[:2], np.float32)
     for top in range(0, len(frame), ROWS_PER_STEP):
-        rows, total = frame[top : top + ROWS_PER_STEP], grey[top : top + ROWS_PER_STEP]
+        rows, luma = frame[top : top + ROWS_PER_STEP], grey[top : top + ROWS_PER_STEP]
         # Channel by channel: a matrix product may round differently on another machine.
         red, green, blue = (rows[..., k].astype(np.float32) for k in range(3))
-        np.multiply(red, _LUMA[0], out=total)
+        np.multiply(red, _LUMA[0], out=luma)
         green *= _LUMA[1]
-        total += green
+        luma += green
         blue *= _LUMA[2]
-        total += blue
+        luma += blue
     return grey

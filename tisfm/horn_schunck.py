@@ -24,7 +24,7 @@ def horn_schunck(
     """Estimate optical flow with a quadratic, isotropic smoothness term.
 
     Pyramid, warping, derivatives and solver are those of `tisfm.interpret`. The unknown is the flow
-    itself, and b = 1 on every edge.
+    itself. All pairs of neighbouring pixels have the same weight of smoothness.
 
     Parameters
     ----------

@@ -16,10 +16,13 @@ from tisfm.status import History, Status
 class Interpretation:
     """The 3D interpretation of a pair of frames.
 
+    Equations are numbered as in the paper of Sekkati and Mitiche (`tisfm.interpret`).
+
     Attributes
     ----------
     rho : (6, H, W) float32
-        ρ̂ = f·(τ, ω), px/frame; ω is zero under the translation model.
+        ρ̂ = f·(τ, ω), px/frame: translation over depth, and rotation, times the focal length. ω is
+        zero under the translation model.
     flow : (H, W, 2) float32
         Image motion (u, v) of eq. 25, px/frame, u to the right and v down.
     inverse_depth : (H, W) float32
@@ -27,8 +30,8 @@ class Interpretation:
         (eq. 24), with ‖T‖ = 1: correct if the scene translates parallel to the image plane; for
         other motions see docs/trust.md. For ``motion="camera"`` it is signed; T has length 1, or
         the length of the translation in a given pose. For ``"objects"`` the unit is that of each
-        label's own T. 0 where depth cannot be seen: everywhere if the status says so, or on a
-        background without parallax.
+        label's own T. 0 where the frames do not show depth: everywhere if the status says so, or on
+        a background without parallax.
     inverse_depth_std : (H, W) float32 or None
         Standard deviation of the inverse depth: of the pixels visible in frame 1, about 68% have
         a smaller error. Infinite where there is no depth, never 0. None for ``motion="field"``.
@@ -162,7 +165,7 @@ class Interpretation:
         )
 
     def save(self, path: str | Path, *, compact: bool = False) -> None:
-        """Write the result to an ``.npz`` file without pickles, whole or not at all.
+        """Write the result to an ``.npz`` file without pickles; after an error there is no file.
 
         `load` returns the same values, apart from two roundings: `rho`, and with it `tau` and
         `omega`, to 11 significant bits (and to 6e-8 px/frame where it is tiny), and `confidence` to
@@ -171,9 +174,9 @@ class Interpretation:
         `numpy.load` reads the file too; ``docs/formats.md`` describes it.
 
         A compact file, as `tisfm run` writes it, has a quarter of the bytes and rounds more:
-        `flow`, `rho` and `confidence` to multiples of 2⁻¹⁰ (px/frame for the first two; if all
-        values of an array are small, of at most 2⁻¹² of its largest value), inverse depth and its
-        deviation to 12 significant bits. Its arrays are packed, unless the result diverged.
+        `flow` and `rho`, px/frame, and `confidence` to multiples of 2⁻¹⁰, inverse depth and its
+        deviation to 12 significant bits. If all values of an array are small, the multiples are at
+        most 2⁻¹² of its largest value. Arrays are packed, unless the result diverged.
 
         Parameters
         ----------
@@ -209,8 +212,8 @@ class Interpretation:
         """Read a file that `save` wrote.
 
         No code in the file is run, and every shape, type and name is checked before an array is
-        read. A compact file may unpack to at most 2²⁴ pixels, or to as many as it has bytes if
-        those are more.
+        read. A compact file may hold at most 2²⁴ pixels, or one pixel for each of its bytes
+        if these are more.
 
         Raises
         ------

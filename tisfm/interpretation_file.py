@@ -26,53 +26,53 @@ from tisfm.status import History, Status
 
 FORMAT = 7  # increased whenever a reader of the previous format would misread a file
 _READABLE_FORMATS = (6, FORMAT)  # formats that can be read; format 6 had no packed arrays
-_MAX_PIXELS = 2**24  # of a packed frame, unless the file has more bytes than this
+_MAX_PIXELS = 2**24  # pixels of a packed frame, unless the file has more bytes than this
 _MAX_ABOUT_BYTES = 2**20  # bytes of the entry "about", which usually has a thousandth of that
 _MAX_HALF = 65504.0  # largest number of float16
-_HISTORY = tuple(f"history_{record.name}" for record in fields(History))
-_REQUIRED = ("rho", "flow", "inverse_depth", "confidence", "occlusion", "frame")
+_HISTORY_ENTRIES = tuple(f"history_{record.name}" for record in fields(History))
+_REQUIRED_ARRAYS = ("rho", "flow", "inverse_depth", "confidence", "occlusion", "frame")
 _RIGID_ARRAYS = ("inverse_depth_std", "motions", "labels")  # stored unless motion="field"
-_ENTRIES = ("about", *_REQUIRED, *_RIGID_ARRAYS, *_HISTORY)
+_ENTRIES = ("about", *_REQUIRED_ARRAYS, *_RIGID_ARRAYS, *_HISTORY_ENTRIES)
 _ABOUT_ENTRIES = ("format", "version", "camera", "settings", "status", "message", "packed")
 _RIGID_STATUSES = (
     "pose_mismatch", "little_parallax", "pure_rotation", "two_motions", "behind_camera",
     "unexplained", "uncertain",
 )  # fmt: skip
-_WITHOUT_DEPTH = (
+_STATUSES_WITHOUT_DEPTH = (
     "no_motion", "no_texture", "little_parallax", "pure_rotation", "unrelated", "aperture",
 )  # fmt: skip
-_WITHOUT_MOTION = ("no_motion", "no_texture")  # no depth either, even for motion="field"
+_STATUSES_WITHOUT_MOTION = ("no_motion", "no_texture")  # no depth either, even for motion="field"
 _UNUSABLE_STATUSES = ("diverged", "pose_mismatch")  # statuses whose numbers may be useless
 
-_HALF, _FLOAT, _DOUBLE, _INT = (np.dtype(kind) for kind in ("<f2", "<f4", "<f8", "<i4"))
-_TYPES = {
-    "rho": _FLOAT,
-    "flow": _FLOAT,
-    "inverse_depth": _FLOAT,
-    "inverse_depth_std": _FLOAT,
-    "confidence": _FLOAT,
+_FLOAT16, _FLOAT32, _FLOAT64, _INT32 = (np.dtype(kind) for kind in ("<f2", "<f4", "<f8", "<i4"))
+_MEMORY_TYPES = {
+    "rho": _FLOAT32,
+    "flow": _FLOAT32,
+    "inverse_depth": _FLOAT32,
+    "inverse_depth_std": _FLOAT32,
+    "confidence": _FLOAT32,
     "occlusion": np.dtype(np.bool_),
-    "labels": _INT,
-    "motions": _DOUBLE,
+    "labels": _INT32,
+    "motions": _FLOAT64,
     "frame": np.dtype("u1"),
-    "history_level": _INT,
-    "history_warp": _INT,
-    "history_energy": _DOUBLE,
-    "history_half_quadratic": _DOUBLE,
-    "history_change": _DOUBLE,
+    "history_level": _INT32,
+    "history_warp": _INT32,
+    "history_energy": _FLOAT64,
+    "history_half_quadratic": _FLOAT64,
+    "history_change": _FLOAT64,
 }
-_STORED = {name: (kind,) for name, kind in _TYPES.items()} | {
-    "rho": (_HALF, _FLOAT),
-    "confidence": (_HALF,),
-    "labels": (np.dtype("u1"), np.dtype("<u2"), _INT),
+_STORED_TYPES = {name: (kind,) for name, kind in _MEMORY_TYPES.items()} | {
+    "rho": (_FLOAT16, _FLOAT32),
+    "confidence": (_FLOAT16,),
+    "labels": (np.dtype("u1"), np.dtype("<u2"), _INT32),
 }
-_FIXED_POINT, _TRUNCATED = ("int16", "int32"), ("uint32",)
-_PACKED = {  # integer types that each array may be packed as
-    "rho": _FIXED_POINT,
-    "flow": _FIXED_POINT,
-    "confidence": _FIXED_POINT,
-    "inverse_depth": _TRUNCATED,
-    "inverse_depth_std": _TRUNCATED,
+_FIXED_POINT_TYPES, _TRUNCATED_TYPES = ("int16", "int32"), ("uint32",)
+_PACKED_TYPES = {  # integer types that each array may be packed as
+    "rho": _FIXED_POINT_TYPES,
+    "flow": _FIXED_POINT_TYPES,
+    "confidence": _FIXED_POINT_TYPES,
+    "inverse_depth": _TRUNCATED_TYPES,
+    "inverse_depth_std": _TRUNCATED_TYPES,
     "occlusion": ("uint8",),
     "labels": ("uint8", "uint16", "int32"),
     "frame": ("uint8",),
@@ -92,35 +92,35 @@ def write_interpretation(
         "message": result.status.message,
         "packed": {},
     }
-    arrays = {name: getattr(result, name) for name in (*_REQUIRED, *_RIGID_ARRAYS)}
+    arrays = {name: getattr(result, name) for name in (*_REQUIRED_ARRAYS, *_RIGID_ARRAYS)}
     arrays.update({f"history_{name}": array for name, array in vars(result.history).items()})
-    given = {name: array for name, array in arrays.items() if array is not None}
-    for name, array in given.items():
+    stored_arrays = {name: array for name, array in arrays.items() if array is not None}
+    for name, array in stored_arrays.items():
         refuse_masked(array, name)
-    layout = {name: (array.shape, array.dtype) for name, array in given.items()}
-    _check_layout(layout, {name: (kind,) for name, kind in _TYPES.items()}, result.settings)
-    _check_values(given, result.status)
-    if "labels" in given:
-        most = len(given["motions"]) - 1
-        kinds = (kind for kind in _STORED["labels"] if most <= np.iinfo(kind).max)
-        given["labels"] = given["labels"].astype(next(kinds))
+    layout = {name: (array.shape, array.dtype) for name, array in stored_arrays.items()}
+    _check_layout(layout, {name: (kind,) for name, kind in _MEMORY_TYPES.items()}, result.settings)
+    _check_values(stored_arrays, result.status)
+    if "labels" in stored_arrays:
+        max_label = len(stored_arrays["motions"]) - 1
+        kinds = (kind for kind in _STORED_TYPES["labels"] if max_label <= np.iinfo(kind).max)
+        stored_arrays["labels"] = stored_arrays["labels"].astype(next(kinds))
     if compact and str(result.status) not in _UNUSABLE_STATUSES:
-        _pack(given, about["packed"])
+        _pack(stored_arrays, about["packed"])
     if "rho" not in about["packed"] and (
-        max(given["rho"].max(), -given["rho"].min()) <= _MAX_HALF  # False for NaN
+        max(stored_arrays["rho"].max(), -stored_arrays["rho"].min()) <= _MAX_HALF  # False for NaN
     ):
-        given["rho"] = _half(given["rho"])
+        stored_arrays["rho"] = _round_to_half(stored_arrays["rho"])
     if "confidence" not in about["packed"]:
-        given["confidence"] = _half(given["confidence"])
-    write_npz(path, {"about": np.array(json.dumps(about)), **given})
+        stored_arrays["confidence"] = _round_to_half(stored_arrays["confidence"])
+    write_npz(path, {"about": np.array(json.dumps(about)), **stored_arrays})
 
 
 def _pack(arrays: dict[str, NDArray[Any]], packed: dict[str, Any]) -> None:
     """Pack the arrays that can be packed; both arguments are modified in place."""
-    for name, kinds in _PACKED.items():
+    for name, kinds in _PACKED_TYPES.items():
         if name not in arrays:
             continue
-        step = STEP if kinds == _FIXED_POINT else None
+        step = STEP if kinds == _FIXED_POINT_TYPES else None
         array = arrays[name]
         if name == "confidence":  # positive values must not be rounded to 0
             array = np.maximum(array, np.float32(STEP), out=array.copy(), where=array > 0)
@@ -136,7 +136,7 @@ def _row_axis(name: str) -> int:
 
 
 def read_interpretation(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the fields of a file by `write_interpretation`; see `Interpretation.load`."""
+    """Return the fields of a file that `write_interpretation` wrote; see `Interpretation.load`."""
     name = os.fspath(path)
     try:
         with NpzFile(path) as file:
@@ -156,23 +156,23 @@ def read_interpretation(path: str | os.PathLike[str]) -> dict[str, Any]:
 def _read(file: NpzFile) -> dict[str, Any]:
     about = _read_about(file)
     file.require_only(_ENTRIES)
-    missing = sorted({*_REQUIRED, *_HISTORY}.difference(file))
+    missing = sorted({*_REQUIRED_ARRAYS, *_HISTORY_ENTRIES}.difference(file))
     if missing:
         raise InputError(f"it has no {', '.join(missing)}")
-    camera, settings = _camera(about["camera"]), _settings(about["settings"])
-    packings = _packings(file, about["packed"])
-    names = [name for name in _TYPES if name in file]
+    camera, settings = _read_camera(about["camera"]), _read_settings(about["settings"])
+    packings = _read_packings(file, about["packed"])
+    names = [name for name in _MEMORY_TYPES if name in file]
     layout = {
         name: (packings[name].shape, packings[name].kind) if name in packings else file.header(name)
         for name in names
     }
     kinds = {name: (packing.kind,) for name, packing in packings.items()}
-    _check_layout(layout, _STORED | kinds, settings)
+    _check_layout(layout, _STORED_TYPES | kinds, settings)
     if packings:
-        _refuse_inflated(file, layout["frame"][0])
-    arrays = {name: _array(file, name, packings.get(name)) for name in names}
+        _refuse_too_many_pixels(file, layout["frame"][0])
+    arrays = {name: _read_array(file, name, packings.get(name)) for name in names}
     _check_values(arrays, about["status"])
-    history = {name: arrays.pop(name) for name in _HISTORY}
+    history = {name: arrays.pop(name) for name in _HISTORY_ENTRIES}
     return dict(
         **arrays,
         camera=camera,
@@ -185,35 +185,39 @@ def _read(file: NpzFile) -> dict[str, Any]:
     )
 
 
-def _packings(file: NpzFile, about: Any) -> dict[str, Packing]:
+def _read_packings(file: NpzFile, about: Any) -> dict[str, Packing]:
     """Return the packing of each packed array, by its name."""
-    if not isinstance(about, dict) or not set(about) <= set(_PACKED):
-        raise InputError(f"packed arrays are {about!r}: expected some of {', '.join(_PACKED)}")
+    if not isinstance(about, dict) or not set(about) <= set(_PACKED_TYPES):
+        raise InputError(
+            f"packed arrays are {about!r}: expected some of {', '.join(_PACKED_TYPES)}"
+        )
     packings = {}
     for name, packing in about.items():
         try:
-            packings[name] = Packing.from_json(packing, _PACKED[name])
+            packings[name] = Packing.from_json(packing, _PACKED_TYPES[name])
         except ValueError as error:
             raise InputError(f"{name} {error}") from error
-        stored, kind = file.header(name)
-        if len(stored) != 1 or kind != np.uint8:
-            raise InputError(f"{name} is {stored} {kind}, expected (N,) uint8, as it is packed")
+        stored_shape, stored_type = file.header(name)
+        if len(stored_shape) != 1 or stored_type != np.uint8:
+            raise InputError(
+                f"{name} is {stored_shape} {stored_type}, expected (N,) uint8, as it is packed"
+            )
     return packings
 
 
-def _refuse_inflated(file: NpzFile, frame: tuple[int, ...]) -> None:
+def _refuse_too_many_pixels(file: NpzFile, frame_shape: tuple[int, ...]) -> None:
     """Refuse a small file with a huge frame, whose size determines that of all arrays."""
-    pixels = frame[0] * frame[1]
+    pixels = frame_shape[0] * frame_shape[1]
     if pixels > max(_MAX_PIXELS, file.length):
         raise InputError(f"it has {pixels:,} pixels packed in {file.length:,} bytes")
 
 
-def _array(file: NpzFile, name: str, packing: Packing | None) -> NDArray[Any]:
+def _read_array(file: NpzFile, name: str, packing: Packing | None) -> NDArray[Any]:
     """Return an array, unpacked and in its type in memory."""
     if packing is None:
-        return file.read(name).astype(_TYPES[name], copy=False)
+        return file.read(name).astype(_MEMORY_TYPES[name], copy=False)
     try:
-        return unpack(file.read(name), packing, _TYPES[name], row_axis=_row_axis(name))
+        return unpack(file.read(name), packing, _MEMORY_TYPES[name], row_axis=_row_axis(name))
     except ValueError as error:
         raise InputError(f"{name} {error}") from error
 
@@ -221,7 +225,7 @@ def _array(file: NpzFile, name: str, packing: Packing | None) -> NDArray[Any]:
 def _read_about(file: NpzFile) -> dict[str, Any]:
     """Return the entry "about", after the checks that need no other entry."""
     if "about" not in file:
-        missing = sorted({"about", *_REQUIRED}.difference(file))
+        missing = sorted({"about", *_REQUIRED_ARRAYS}.difference(file))
         raise InputError(f"it has no {', '.join(missing)}")
     text = file.read("about", max_bytes=_MAX_ABOUT_BYTES)
     if text.dtype.kind != "U" or text.shape != ():
@@ -252,7 +256,7 @@ def _read_about(file: NpzFile) -> dict[str, Any]:
     return about
 
 
-def _camera(about: Any) -> Camera:
+def _read_camera(about: Any) -> Camera:
     """Return the camera; raise ValueError if an entry is missing or wrong."""
     if isinstance(about, dict):
         about = {"readout": None} | about  # earlier versions had no readout
@@ -263,8 +267,8 @@ def _camera(about: Any) -> Camera:
         raise InputError(str(error)) from error
 
 
-def _settings(about: Any) -> Settings:
-    """Return the settings; a missing one is an error, as today's default may be another."""
+def _read_settings(about: Any) -> Settings:
+    """Return the settings; a missing setting is an error, as its default may have changed."""
     _check_names("its settings", about, [setting.name for setting in fields(Settings)])
     try:
         return Settings(**about)
@@ -288,44 +292,51 @@ def _check_layout(
     settings: Settings,
 ) -> None:
     """Raise ValueError unless shapes and types fit each other and the settings."""
-    size = layout["frame"][0]
-    if len(size) not in (2, 3) or min(size[:2]) < MIN_SIDE or size[2:] not in ((), (3,)):
+    frame_shape = layout["frame"][0]
+    if (
+        len(frame_shape) not in (2, 3)
+        or min(frame_shape[:2]) < MIN_SIDE
+        or frame_shape[2:] not in ((), (3,))
+    ):
         raise InputError(
-            f"frame is {size}, expected (H, W) or (H, W, 3) with sides of at least {MIN_SIDE} px"
+            f"frame is {frame_shape}, expected (H, W) or (H, W, 3) with sides of at least "
+            f"{MIN_SIDE} px"
         )
-    rigid = [name for name in _RIGID_ARRAYS if name in layout]
-    if rigid != ([] if settings.motion == "field" else list(_RIGID_ARRAYS)):
+    rigid_arrays = [name for name in _RIGID_ARRAYS if name in layout]
+    if rigid_arrays != ([] if settings.motion == "field" else list(_RIGID_ARRAYS)):
         raise InputError(
-            f"it has {', '.join(rigid) or 'no motions'}, but its settings say motion="
+            f"it has {', '.join(rigid_arrays) or 'no motions'}, but its settings say motion="
             f'"{settings.motion}": expected {", ".join(_RIGID_ARRAYS)} for rigid motions and none '
             "of them for a field"
         )
-    height, width = size[:2]
-    (iterations, *_) = (*layout["history_level"][0], 0)
-    (count, *_) = (*layout.get("motions", ((), None))[0], 0)
-    if rigid and not count:
+    height, width = frame_shape[:2]
+    (iteration_count, *_) = (*layout["history_level"][0], 0)
+    (motion_count, *_) = (*layout.get("motions", ((), None))[0], 0)
+    if rigid_arrays and not motion_count:
         raise InputError("motions is empty, expected at least one motion, (K, 6)")
     shapes: dict[str, tuple[int, ...]] = {
-        "frame": size,
+        "frame": frame_shape,
         "rho": (6, height, width),
         "flow": (height, width, 2),
-        "motions": (count, 6),
-        **{name: (iterations,) for name in _HISTORY},
+        "motions": (motion_count, 6),
+        **{name: (iteration_count,) for name in _HISTORY_ENTRIES},
     }
     for name, (shape, kind) in layout.items():
         expected = shapes.get(name, (height, width))
         if shape != expected or kind not in types[name]:
-            names = " or ".join(str(kind) for kind in types[name])
-            raise InputError(f"{name} is {shape} {kind}, expected {expected} {names}")
+            expected_types = " or ".join(str(kind) for kind in types[name])
+            raise InputError(f"{name} is {shape} {kind}, expected {expected} {expected_types}")
 
 
 def _check_values(arrays: Mapping[str, NDArray[Any]], status: str) -> None:
     """Raise ValueError unless the values fit each other and the status."""
     if "labels" in arrays:
-        count = len(arrays["motions"])
-        least, most = arrays["labels"].min(), arrays["labels"].max()
-        if least < 0 or most >= count:
-            raise InputError(f"labels are {least} to {most}, expected 0 to {count - 1}")
+        motion_count = len(arrays["motions"])
+        min_label, max_label = arrays["labels"].min(), arrays["labels"].max()
+        if min_label < 0 or max_label >= motion_count:
+            raise InputError(
+                f"labels are {min_label} to {max_label}, expected 0 to {motion_count - 1}"
+            )
     if arrays["occlusion"].view(np.uint8).max() > 1:
         raise InputError("occlusion has bytes other than 0 and 1")
     for name in ("history_level", "history_warp"):
@@ -350,14 +361,14 @@ def _check_values(arrays: Mapping[str, NDArray[Any]], status: str) -> None:
     for name in ("history_energy", "history_half_quadratic", "history_change"):
         if np.isnan(arrays[name]).any():  # infinity is allowed: an energy may overflow
             raise InputError(f"{name} is NaN, but the status is {status!r}")
-    without_depth = _WITHOUT_DEPTH if "motions" in arrays else _WITHOUT_MOTION
+    without_depth = _STATUSES_WITHOUT_DEPTH if "motions" in arrays else _STATUSES_WITHOUT_MOTION
     if not (np.isfinite(arrays["history_change"]) & (arrays["history_change"] >= 0)).all():
-        raise InputError("history_change is negative or infinite somewhere, and a length is not")
+        raise InputError("history_change is negative or infinite: expected lengths of changes")
     if status in without_depth and arrays["inverse_depth"].any():
         raise InputError(f"inverse_depth is not 0 everywhere, but the status is {status!r}")
 
 
-def _half(array: NDArray[np.float32]) -> NDArray[np.float16]:
+def _round_to_half(array: NDArray[np.float32]) -> NDArray[np.float16]:
     """Round to 11 significant bits, and to 2⁻²⁴ where the numbers are tiny."""
     flat = np.ascontiguousarray(array).reshape(-1, array.shape[-1])
     try:

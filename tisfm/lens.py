@@ -12,7 +12,7 @@ from tisfm.solver.sampling import FAR_FLOW
 
 __all__ = ["undistort"]
 
-# Least share of pixels with data: if fewer remain, the coefficients belong to another camera.
+# Smallest share of pixels with data: with fewer, the coefficients belong to another camera.
 MIN_VALID_SHARE = 0.1
 RADIUS_SAMPLES = 4096  # number of radii at which the radial part of the model is evaluated
 
@@ -46,32 +46,32 @@ class Undistortion(Resampling):
 
     def __init__(self, camera: Camera, height: int, width: int) -> None:
         cx, cy = camera.center_for(height, width)
-        taken, wanted = (
+        camera_matrix, pinhole_matrix = (
             np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
             for fx, fy in (camera.focals, camera.pinhole().focals)
         )
         coefficients = np.array(camera.distortion or (0.0,) * 4)
         sources, _ = cv2.initUndistortRectifyMap(
-            taken, coefficients, None, wanted, (width, height), cv2.CV_32FC2
+            camera_matrix, coefficients, None, pinhole_matrix, (width, height), cv2.CV_32FC2
         )
         x, y = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)[:, None]
         flow = np.stack([sources[..., 0] - x, sources[..., 1] - y])
-        # Before the kernel: with fast math, its comparisons with NaN may be true.
+        # NaN is replaced before the kernel runs: with fast math, comparisons with NaN may be true.
         flow = np.nan_to_num(flow, nan=FAR_FLOW)
         radius = np.hypot((x - cx) / camera.focal, (y - cy) / camera.focal)
-        folded = radius > _fold(coefficients, float(radius.max()))
-        super().__init__(flow, ~folded)
-        share = float(self.valid.mean())
-        if share < MIN_VALID_SHARE:
+        is_folded = radius > _fold_radius(coefficients, float(radius.max()))
+        super().__init__(flow, ~is_folded)
+        valid_share = float(self.valid.mean())
+        if valid_share < MIN_VALID_SHARE:
             raise InputError(
-                f"distortion leaves data at {100 * share:.2g}% of the pixels of a frame of "
+                f"distortion leaves data at {100 * valid_share:.2g}% of the pixels of a frame of "
                 f"{height} × {width} px: check its signs and order (k1, k2, p1, p2[, k3, …]), the "
                 "focal length and the centre"
             )
 
 
 def undistort(frame: npt.ArrayLike, camera: Camera) -> np.ndarray:
-    """Return a frame as the pinhole camera would have taken it, ``camera.pinhole()``.
+    """Return a frame as the pinhole camera ``camera.pinhole()`` would have taken it.
 
     `tisfm.interpret` does this itself: its result belongs to the frames without distortion.
 
@@ -90,7 +90,7 @@ def undistort(frame: npt.ArrayLike, camera: Camera) -> np.ndarray:
     Raises
     ------
     TypeError, ValueError
-        If `frame` is not an image of those kinds, or `camera` cannot have taken it.
+        If `frame` is not an image of these types, or `camera` cannot have taken it.
 
     Examples
     --------
@@ -114,21 +114,21 @@ def undistort_depth(depth: np.ndarray, camera: Camera) -> np.ndarray:
     Each pixel takes the depth of the nearest source pixel; NaN where there are no data. If the lens
     does not distort and pixels are square, the map itself is returned.
     """
-    return depth if camera.is_pinhole else Undistortion(camera, *depth.shape).nearest(depth)
+    return depth if camera.is_pinhole else Undistortion(camera, *depth.shape).apply_nearest(depth)
 
 
-def _fold(coefficients: np.ndarray, reach: float) -> float:
+def _fold_radius(coefficients: np.ndarray, max_radius: float) -> float:
     """Return the radius, in focal lengths, at which the distorted radius stops increasing.
 
     The model is a rational function fitted inside the frame. Beyond this radius it may map a part
     of the frame into the pinhole image a second time.
     """
     k1, k2, _, _, k3, k4, k5, k6 = np.pad(coefficients, (0, 14 - len(coefficients)))[:8]
-    radius = np.linspace(0, reach, RADIUS_SAMPLES)
+    radius = np.linspace(0, max_radius, RADIUS_SAMPLES)
     square = radius**2
     with np.errstate(all="ignore"):
         distorted = (
             radius * np.polyval((k3, k2, k1, 1), square) / np.polyval((k6, k5, k4, 1), square)
         )
-        turning = np.flatnonzero(~(np.diff(distorted) > 0))
-    return float(radius[turning[0]]) if len(turning) else np.inf
+        fold_indices = np.flatnonzero(~(np.diff(distorted) > 0))
+    return float(radius[fold_indices[0]]) if len(fold_indices) else np.inf

@@ -88,11 +88,11 @@ def interpret(
     Raises
     ------
     TypeError, ValueError
-        If a frame is not an image of those kinds, the two differ in size or type, or a pixel is
+        If a frame is not an image of these types, the two differ in size or type, or a pixel is
         masked, NaN, infinite or beyond 1e36; if `pose` is not one of these matrices, turns by 90°
         or more, has a translation whose length is neither 0 nor from 1e-30 to 1e30, or is given
         for a motion that is not ``"camera"``; if almost no pixel of the frames has data without
-        distortion; if `mask` has not the size of the frames, or excludes all pixels of a frame.
+        distortion; if `mask` does not have the size of the frames, or excludes all pixels of one.
 
     Notes
     -----
@@ -138,19 +138,19 @@ def interpret_pair(
     settings: Settings | None = None,
     pose: npt.ArrayLike | None = None,
     ignored: tuple[np.ndarray | None, np.ndarray | None] | None = None,
-    stretch: bool = True,
+    scales_unit_range: bool = True,
     window: Window | None = None,
 ) -> Interpretation:
     """Interpret a pair of a sequence, as `interpret` does.
 
     `ignored`, (H, W) bool, marks the pixels of each frame that are not used; None to use all.
-    `stretch` says whether float frames in [0, 1] are brought to the 8-bit scale
+    `scales_unit_range` says whether float frames in [0, 1] are brought to the 8-bit scale
     (`tisfm.frames.grey_pair`). `window`, for motion ``"field"``, holds the previous pair; this pair
     then replaces it there.
     """
     settings = check_settings(settings)
-    known = check_pose(pose)
-    if known is not None and settings.motion != "camera":
+    known_pose = check_pose(pose)
+    if known_pose is not None and settings.motion != "camera":
         raise InputError(
             f'pose is given, but motion="{settings.motion}" leaves the motion free: leave it out'
         )
@@ -160,8 +160,8 @@ def interpret_pair(
         camera=camera,
         settings=settings,
         ignored=ignored,
-        stretch=stretch,
-        known=known,
+        scales_unit_range=scales_unit_range,
+        known_pose=known_pose,
     )
     pyramid, lens = prepared.pyramid, prepared.lens
     from tisfm.motion.camera import camera_estimate
@@ -172,63 +172,66 @@ def interpret_pair(
     from tisfm.motion.objects.estimation import objects_estimate
     from tisfm.motion.previous_frame import previous_frame
 
-    before = None
+    previous = None
     if settings.motion == "field":
-        before = previous_frame(pyramid, settings, None if window is None else window.previous)
-        estimate = field_estimate(pyramid, settings, before)
+        previous = previous_frame(pyramid, settings, None if window is None else window.previous)
+        estimate = field_estimate(pyramid, settings, previous)
     elif settings.motion == "camera":
-        estimate = camera_estimate(pyramid, settings, known)
+        estimate = camera_estimate(pyramid, settings, known_pose)
     else:
         estimate = objects_estimate(pyramid, settings, *prepared.greys)
     flow, deviation = estimate.flow, estimate.inverse_depth_std
     if pyramid.contrast == 0:
-        estimate.precision[...] = 0  # frame 0 is uniform: gradients of frame 1 alone show no motion
+        estimate.precision[...] = 0  # frame 0 is uniform: the frames show no motion
     with np.errstate(over="ignore", invalid="ignore"):  # ρ̂ may have diverged: the status says so
-        leaves = leaves_image(flow)
-        unseen = occlusion_in(
+        is_leaving = leaves_image(flow)
+        occluded = occlusion_in(
             pyramid,
             flow,
             settings,
-            leaves=leaves,
+            is_leaving=is_leaving,
             level=estimate.level,
-            residual=None if before is None or pyramid.last > 0 else before.residual,
+            residual=None if previous is None or pyramid.last > 0 else previous.residual,
         )
         if lens is not None:
-            unseen |= lens.missing(flow)
+            occluded |= lens.pixels_without_data(flow)
         if deviation is not None:
-            deviation[unseen] = np.inf
-        trust = confidence(
-            estimate.precision, unseen, normalized=estimate.normalized, freedom=estimate.freedom
+            deviation[occluded] = np.inf
+        pixel_confidence = confidence(
+            estimate.precision, occluded, normalized=estimate.normalized, freedom=estimate.freedom
         )
     history, is_finite = _finite_history(history_of(estimate.history))
     status = estimate.status
-    posed = known is not None and known.translation is not None
+    has_known_translation = known_pose is not None and known_pose.translation is not None
     if status != "pose_mismatch":  # a wrong pose explains a wrong flow, too
-        confirmed = estimate.uses_matches or posed
-        runaway = diverged_status(flow, leaves, is_confirmed=confirmed)
-        if runaway is not None and not confirmed and confirms_large_motion(pyramid, flow, unseen):
-            runaway = diverged_status(flow, leaves, is_confirmed=True)
-        status = prepared.overflow or runaway or (status if is_finite else ENERGY_OVERFLOW)
+        is_confirmed = estimate.uses_matches or has_known_translation
+        divergence = diverged_status(flow, is_leaving, is_confirmed=is_confirmed)
+        if (
+            divergence is not None
+            and not is_confirmed
+            and confirms_large_motion(pyramid, flow, occluded)
+        ):
+            divergence = diverged_status(flow, is_leaving, is_confirmed=True)
+        status = prepared.overflow or divergence or (status if is_finite else ENERGY_OVERFLOW)
     if status in ("converged", "iteration_limit", "uncertain"):
         if settings.motion == "field":
-            status = field_status(pyramid, flow, trust) or status
+            status = field_status(pyramid, flow, pixel_confidence) or status
         elif estimate.start_flow is not None:
-            doubt = depth_status(pyramid, estimate, unseen)
-            if (
-                doubt is not None and doubt != status
-            ):  # the first "uncertain" has the more specific message
-                status = doubt
+            depth_doubt = depth_status(pyramid, estimate, occluded)
+            # If both are "uncertain", the message of the first is more specific.
+            if depth_doubt is not None and depth_doubt != status:
+                status = depth_doubt
     status = with_brightness_advice(status, pyramid, settings)
     if window is not None:
-        _keep(window, pyramid, flow, unseen, status)
-        if window.previous is None and before is not None and before.is_used:
+        _store_pair(window, pyramid, flow, occluded, status)
+        if window.previous is None and previous is not None and previous.is_used:
             return interpret_pair(  # without the previous pair
                 frame0,
                 frame1,
                 camera=camera,
                 settings=settings,
                 ignored=ignored,
-                stretch=stretch,
+                scales_unit_range=scales_unit_range,
                 window=window,
             )
     return Interpretation(
@@ -236,8 +239,8 @@ def interpret_pair(
         flow=cv2.merge(list(flow)),  # several times as fast as a transposed copy
         inverse_depth=estimate.inverse_depth,
         inverse_depth_std=deviation,
-        confidence=trust,
-        occlusion=unseen,
+        confidence=pixel_confidence,
+        occlusion=occluded,
         motions=estimate.motions,
         labels=estimate.labels,
         frame=prepared.frame,
@@ -249,7 +252,7 @@ def interpret_pair(
     )
 
 
-def keep_pair(
+def store_pair(
     window: Window,
     result: Interpretation,
     frame0: npt.ArrayLike,
@@ -257,21 +260,26 @@ def keep_pair(
     *,
     camera: Camera | None,
     ignored: tuple[np.ndarray | None, np.ndarray | None] | None = None,
-    stretch: bool = True,
+    scales_unit_range: bool = True,
 ) -> None:
     """Store a finished pair in `window` for the next pair, as `interpret_pair` does.
 
     `result` is the result of `interpret_pair` for the other arguments.
     """
     prepared = prepare_pair(
-        frame0, frame1, camera=camera, settings=result.settings, ignored=ignored, stretch=stretch
+        frame0,
+        frame1,
+        camera=camera,
+        settings=result.settings,
+        ignored=ignored,
+        scales_unit_range=scales_unit_range,
     )
     flow = np.stack(cv2.split(result.flow))
-    _keep(window, prepared.pyramid, flow, result.occlusion, result.status)
+    _store_pair(window, prepared.pyramid, flow, result.occlusion, result.status)
 
 
-def _keep(
-    window: Window, pyramid: "ImagePyramid", flow: np.ndarray, unseen: np.ndarray, status: Status
+def _store_pair(
+    window: Window, pyramid: "ImagePyramid", flow: np.ndarray, occluded: np.ndarray, status: Status
 ) -> None:
     """Store a flow, (2, H, W), for the next pair, if its status is in `USABLE_STATUSES`.
 
@@ -282,7 +290,7 @@ def _keep(
 
     is_reliable = status in USABLE_STATUSES
     window.previous = (
-        PreviousPair.from_pair(pyramid, round_as_packed(flow, STEP), unseen)
+        PreviousPair.from_pair(pyramid, round_as_packed(flow, STEP), occluded)
         if is_reliable
         else None
     )
@@ -293,7 +301,7 @@ def _finite_history(history: History) -> tuple[History, bool]:
 
     An energy is infinite if single precision cannot hold it.
     """
-    finite = np.logical_and.reduce([np.isfinite(record) for record in vars(history).values()])
-    if finite.all():
+    is_finite = np.logical_and.reduce([np.isfinite(record) for record in vars(history).values()])
+    if is_finite.all():
         return history, True
-    return History(**{name: record[finite] for name, record in vars(history).items()}), False
+    return History(**{name: record[is_finite] for name, record in vars(history).items()}), False

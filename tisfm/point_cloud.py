@@ -12,7 +12,7 @@ from tisfm.camera import Camera, check_pinhole
 from tisfm.checks import check_unmasked, refuse_masked
 from tisfm.errors import InputError, InputTypeError
 
-# Farthest point, median depths: where inverse depth is nearly 0, its noise moves points far away.
+# Largest depth of a point, median depths: where inverse depth is nearly 0, depth is a guess.
 MAX_MEDIAN_DEPTHS = 10.0
 
 
@@ -33,11 +33,11 @@ class PointCloud(NDArrayOperatorsMixin):
     confidence: np.ndarray  # (N,) float32: in [0, 1]
 
     def __post_init__(self) -> None:
-        number = len(self.positions)
+        count = len(self.positions)
         for name, shape, kind in (
-            ("positions", (number, 3), np.float32),
-            ("colors", (number, 3), np.uint8),
-            ("confidence", (number,), np.float32),
+            ("positions", (count, 3), np.float32),
+            ("colors", (count, 3), np.uint8),
+            ("confidence", (count,), np.float32),
         ):
             array = getattr(self, name)
             refuse_masked(array, name, "leave out the points that they belong to")
@@ -81,7 +81,7 @@ class PointCloud(NDArrayOperatorsMixin):
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
         if "out" in options:  # from +=, after which the colours would belong to other points
             return NotImplemented
-        arrays = [i.positions if isinstance(i, PointCloud) else i for i in inputs]
+        arrays = [value.positions if isinstance(value, PointCloud) else value for value in inputs]
         return getattr(ufunc, method)(*arrays, **options)
 
     def __repr__(self) -> str:
@@ -92,7 +92,7 @@ class PointCloud(NDArrayOperatorsMixin):
         # The file. Its customary suffix is ``.ply``; no suffix is added.
         path: str | os.PathLike[str],
     ) -> None:
-        """Write a binary PLY file, whole or not at all.
+        """Write a binary PLY file; after an error there is no incomplete file.
 
         Every vertex has x, y, z and confidence (float), and red, green, blue (uchar). Viewers such
         as MeshLab, CloudCompare and Blender read it. Y points down: a viewer whose Y points up
@@ -142,13 +142,13 @@ def point_cloud(
         check_unmasked(array, name, advice=f"fill them first, for instance by {name}.filled(0)")
         for name, array in (("frame", frame), ("confidence", confidence), ("occlusion", occlusion))
     )
-    kept = np.isfinite(depth) & (depth > 0) & (confidence >= min_confidence)
+    is_kept = np.isfinite(depth) & (depth > 0) & (confidence >= min_confidence)
     if not occluded:
-        kept &= ~occlusion
-    if max_depth is not None and kept.any():
+        is_kept &= ~occlusion
+    if max_depth is not None and is_kept.any():
         # In float64: the product may be beyond float32.
-        kept &= depth <= max_depth * np.median(depth[kept].astype(float))
-    row, column = np.nonzero(kept)
+        is_kept &= depth <= max_depth * np.median(depth[is_kept].astype(float))
+    row, column = np.nonzero(is_kept)
     cx, cy = camera.center_for(*depth.shape)
     positions = np.empty((len(row), 3), np.float32)
     z = depth[row, column]
@@ -159,9 +159,13 @@ def point_cloud(
     colors = frame[row, column]
     if colors.ndim == 1:
         colors = np.repeat(colors[:, None], 3, axis=1)
-    trust = confidence[row, column]
-    within = np.isfinite(positions).all(axis=1)  # False where float32 overflowed
-    return PointCloud(positions=positions[within], colors=colors[within], confidence=trust[within])
+    point_confidence = confidence[row, column]
+    is_finite = np.isfinite(positions).all(axis=1)  # False where float32 overflowed
+    return PointCloud(
+        positions=positions[is_finite],
+        colors=colors[is_finite],
+        confidence=point_confidence[is_finite],
+    )
 
 
 def _check_number(value: object, name: str, expected: str) -> None:

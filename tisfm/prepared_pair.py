@@ -12,7 +12,7 @@ from tisfm.camera import Camera, check_camera
 from tisfm.checks import check_mask
 from tisfm.errors import InputError, InputTypeError
 from tisfm.focal_guess import guess_camera
-from tisfm.frames import eight_bit, grey_pair
+from tisfm.frames import grey_pair, to_eight_bit
 from tisfm.lens import Undistortion
 from tisfm.rigid import KnownPose
 from tisfm.settings import Settings
@@ -22,7 +22,7 @@ from tisfm.status import Status
 if TYPE_CHECKING:
     from tisfm.solver.image_pyramid import ImagePyramid
 
-MAX_GREY = 1e15  # grey levels: squares of derivatives must fit into float32
+MAX_SQUARABLE_GREY = 1e15  # grey levels: squares of derivatives must fit into float32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,12 +45,12 @@ def prepare_pair(
     camera: Camera | None,
     settings: Settings,
     ignored: tuple[np.ndarray | None, np.ndarray | None] | None,
-    stretch: bool,
-    known: KnownPose | None = None,
+    scales_unit_range: bool,
+    known_pose: KnownPose | None = None,
 ) -> PreparedPair:
     """Return a pair ready for interpretation; the arguments are those of `interpret_pair`."""
-    grey0, grey1 = grey_pair(frame0, frame1, stretch=stretch)
-    frame = eight_bit(frame0, frame1, stretch=stretch)
+    grey0, grey1 = grey_pair(frame0, frame1, scales_unit_range=scales_unit_range)
+    frame = to_eight_bit(frame0, frame1, scales_unit_range=scales_unit_range)
     valid = _used_pixels(ignored, grey0.shape)
     if valid is not None:
         grey0, grey1 = fill_ignored(grey0, ~valid[0]), fill_ignored(grey1, ~valid[1])
@@ -67,16 +67,18 @@ def prepare_pair(
     if lens is not None:
         grey0, grey1, frame = map(lens.apply, (grey0, grey1, frame))
         if valid is not None:
-            first, second = (lens.nearest((~c).astype(np.float32)) > 0 for c in valid)
+            first, second = (
+                lens.apply_nearest((~pixels).astype(np.float32)) > 0 for pixels in valid
+            )
             valid = ~first, ~second
         camera = camera.pinhole()
     overflow = overflow_status(grey0, grey1)
     if settings.motion == "camera" and camera.readout and overflow is None:
-        visible = valid
+        has_data = valid
         if lens is not None:
-            both = (np.ones_like(lens.valid),) * 2 if valid is None else valid
-            visible = both[0] & lens.valid, both[1] & lens.valid
-        unrolled = global_shutter_pair(grey0, grey1, frame, visible, camera, settings, known)
+            used_pixels = (np.ones_like(lens.valid),) * 2 if valid is None else valid
+            has_data = used_pixels[0] & lens.valid, used_pixels[1] & lens.valid
+        unrolled = global_shutter_pair(grey0, grey1, frame, has_data, camera, settings, known_pose)
         if unrolled is not None:
             grey0, grey1, frame = unrolled.grey0, unrolled.grey1, unrolled.frame
             valid, lens = unrolled.valid, None
@@ -98,42 +100,42 @@ def ignored_pixels(mask: npt.ArrayLike, shape: tuple[int, ...]) -> tuple[np.ndar
             f"mask is the path {os.fspath(mask)!r}: expected an array; read the file, for "
             "instance by tisfm.formats.read_image"
         )
-    valid = check_mask(mask, "mask")
-    both = np.stack([valid, valid]) if valid.ndim == 2 else valid
-    if both.shape != (2, *shape):
+    used = check_mask(mask, "mask")
+    used_pixels = np.stack([used, used]) if used.ndim == 2 else used
+    if used_pixels.shape != (2, *shape):
         height, width = shape
         raise InputError(
-            f"mask is {valid.shape}: expected ({height}, {width}), the size of the frames, or "
+            f"mask is {used.shape}: expected ({height}, {width}), the size of the frames, or "
             f"(2, {height}, {width}) with one for each of them"
         )
-    return ~both[0], ~both[1]
+    return ~used_pixels[0], ~used_pixels[1]
 
 
 def _used_pixels(
     ignored: tuple[np.ndarray | None, np.ndarray | None] | None, shape: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the pixels of both frames that are used, (H, W) bool; None if all are used."""
-    if ignored is None or not any(part is not None and part.any() for part in ignored):
+    if ignored is None or not any(pixels is not None and pixels.any() for pixels in ignored):
         return None
-    valid0, valid1 = (np.ones(shape, bool) if part is None else ~part for part in ignored)
-    for name, valid in (("frame0", valid0), ("frame1", valid1)):
-        if not valid.any():
+    used0, used1 = (np.ones(shape, bool) if pixels is None else ~pixels for pixels in ignored)
+    for name, used in (("frame0", used0), ("frame1", used1)):
+        if not used.any():
             raise InputError(
                 f"mask is black at all pixels of {name}, so no pixel is left: black pixels "
                 "are ignored, white ones count"
             )
-    return valid0, valid1
+    return used0, used1
 
 
 def overflow_status(grey0: np.ndarray, grey1: np.ndarray) -> Status | None:
     """Return the status of frames that are too bright for float32, None for others."""
-    largest = max(
+    max_grey = max(
         abs(float(value)) for grey in (grey0, grey1) for value in (grey.min(), grey.max())
     )
-    if largest <= MAX_GREY:
+    if max_grey <= MAX_SQUARABLE_GREY:
         return None
     return Status(
         "diverged",
-        f"grey levels of up to {largest:.0e} are beyond what single precision can square: bring "
+        f"grey levels of up to {max_grey:.0e} are beyond what single precision can square: bring "
         "the frames to the 8-bit scale",
     )

@@ -15,13 +15,13 @@ class Resampling:
         # image, px
         flow: np.ndarray,
         # (H, W) bool: where the displacement is reliable; by default everywhere
-        known: np.ndarray | None = None,
+        is_reliable: np.ndarray | None = None,
     ) -> None:
         self._flow = np.clip(flow, -FAR_FLOW, FAR_FLOW)
-        # (H, W) bool: where the new image has data: the source is reliable and inside the old image
+        # (H, W) bool: pixels of the new image with data: a reliable source inside the old image
         self.valid: np.ndarray = ~leaves_image(self._flow)
-        if known is not None:
-            self.valid &= known
+        if is_reliable is not None:
+            self.valid &= is_reliable
 
     def apply(
         self,
@@ -30,7 +30,7 @@ class Resampling:
         """Return the new image, sampled from the old one by its cubic spline.
 
         The result has the type of the image and the shape of the map. Its values lie between the
-        least and the greatest value of the image. Pixels without data repeat the border.
+        smallest and the greatest value of the image. Pixels without data repeat the border.
         """
         if image.ndim == 3:
             return np.stack([self.apply(channel) for channel in np.moveaxis(image, -1, 0)], axis=-1)
@@ -39,19 +39,19 @@ class Resampling:
             np.rint(values, out=values)
         return np.clip(values, image.min(), image.max()).astype(image.dtype, copy=False)
 
-    def nearest(
+    def apply_nearest(
         self,
         values: np.ndarray,  # (H, W) float array: for example depth
-    ) -> np.ndarray:  # (H, W) array of the same type: naN where there are no data
+    ) -> np.ndarray:  # (H, W) array of the same type: NaN where there are no data
         """Return a map of values for the new image, each from the nearest source pixel."""
         height, width = self.valid.shape
         x = np.rint(self._flow[0] + np.arange(width)).clip(0, width - 1).astype(np.intp)
         y = np.rint(self._flow[1] + np.arange(height)[:, None]).clip(0, height - 1)
         return np.where(self.valid, values[y.astype(np.intp), x], values.dtype.type(np.nan))
 
-    def missing(
+    def pixels_without_data(
         self,
         flow: np.ndarray,  # (2, H, W) float32: image motion between two new images, px/frame
     ) -> np.ndarray:  # (H, W) bool
-        """Return the pixels that have no data in frame 0, or move to where frame 1 has no data."""
+        """Return the pixels that have no data in frame 0, or where they move to in frame 1."""
         return ~(self.valid & self.valid[target_pixels(flow)])

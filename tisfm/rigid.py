@@ -54,15 +54,15 @@ def rigid_motion(motion: ArrayLike) -> tuple[Floats, Floats]:
     velocity, spin = twist[:3], twist[3:]
     angle = float(np.linalg.norm(spin))
     cross = np.array([[0.0, -spin[2], spin[1]], [spin[2], 0.0, -spin[0]], [-spin[1], spin[0], 0.0]])
-    # sin θ/θ, (1 - cos θ)/θ² and (θ - sin θ)/θ³, in forms without cancellation at small angles.
-    first = float(np.sinc(angle / np.pi))
-    second = 0.5 * float(np.sinc(angle / (2 * np.pi))) ** 2
+    # sin θ/θ, (1 - cos θ)/θ² and (θ - sin θ)/θ³, in forms without cancellation at small angles θ.
+    sine_factor = float(np.sinc(angle / np.pi))
+    cosine_factor = 0.5 * float(np.sinc(angle / (2 * np.pi))) ** 2
     if angle < 1e-2:
-        third = 1 / 6 - angle**2 / 120 + angle**4 / 5040
+        cubic_factor = 1 / 6 - angle**2 / 120 + angle**4 / 5040
     else:
-        third = (angle - math.sin(angle)) / angle**3
-    rotation = np.eye(3) + first * cross + second * cross @ cross
-    translation = (np.eye(3) + second * cross + third * cross @ cross) @ velocity
+        cubic_factor = (angle - math.sin(angle)) / angle**3
+    rotation = np.eye(3) + sine_factor * cross + cosine_factor * cross @ cross
+    translation = (np.eye(3) + cosine_factor * cross + cubic_factor * cross @ cross) @ velocity
     return rotation, translation
 
 
@@ -103,9 +103,9 @@ def rigid_twist(rotation: ArrayLike, translation: ArrayLike) -> Floats:
     twice_sine = float(np.linalg.norm(axis))
     angle = math.atan2(twice_sine, float(np.trace(matrix)) - 1)
     spin = axis / 2 if twice_sine < 1e-12 else axis * (angle / twice_sine)
-    # t = V(ω) T: the columns of V(ω) are the translations of the three unit velocities.
-    integral = np.column_stack([rigid_motion([*unit, *spin])[1] for unit in np.eye(3)])
-    return np.concatenate([np.linalg.solve(integral, offset), spin])
+    # t = V(ω) T: the columns of V(ω) are the translations t for the three unit vectors T.
+    velocity_matrix = np.column_stack([rigid_motion([*unit, *spin])[1] for unit in np.eye(3)])
+    return np.concatenate([np.linalg.solve(velocity_matrix, offset), spin])
 
 
 def pose_matrix(twist: ArrayLike) -> NDArray[np.float64]:
@@ -149,9 +149,9 @@ def is_rotation(matrix: NDArray[np.float64]) -> bool:
 
 def nearest_rotation(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the rotation R with the greatest trace of Rᵀ M, (3, 3): Umeyama, eq. 40–43."""
-    left, _, right = np.linalg.svd(matrix)
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right))])
-    return np.asarray(left * signs @ right)
+    u, _, vt = np.linalg.svd(matrix)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
+    return np.asarray(u * signs @ vt)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,18 +171,18 @@ def check_pose(
 
     Raises TypeError if the pose is not an array of real numbers.
 
-    Raises ValueError if it is neither of the two, has a masked value, turns by 90° or more, or
-    translates by a length that is neither 0 nor from 1e-30 to 1e30: float32 cannot hold depth in
+    Raises ValueError if it is neither of these matrices, has a masked value, turns by 90° or more,
+    or translates by a length that is neither 0 nor from 1e-30 to 1e30: float32 cannot hold depth in
     such a unit.
     """
     if pose is None:
         return None
     refuse_masked(pose, "pose", "expected a 4×4 or 3×3 array without a mask")
     try:
-        given = np.asarray(pose)
-        if given.dtype.kind in "bc":
+        array = np.asarray(pose)
+        if array.dtype.kind in "bc":
             raise TypeError
-        matrix = given.astype(np.float64)
+        matrix = array.astype(np.float64)
     except (TypeError, ValueError):
         raise InputTypeError(
             f"pose is {pose!r}: expected a 4×4 or 3×3 array of real numbers"
@@ -207,10 +207,10 @@ def check_pose(
     rotation = nearest_rotation(rotation)  # measured poses are rounded
     from scipy.spatial.transform import Rotation  # slow to import
 
-    turn = math.degrees(Rotation.from_matrix(rotation).magnitude())
-    if turn >= _MAX_ROTATION_ANGLE:
+    angle = math.degrees(Rotation.from_matrix(rotation).magnitude())
+    if angle >= _MAX_ROTATION_ANGLE:
         raise InputError(
-            f"pose turns by {turn:.0f}°: expected less than {_MAX_ROTATION_ANGLE:g}° between two "
+            f"pose turns by {angle:.0f}°: expected less than {_MAX_ROTATION_ANGLE:g}° between two "
             "frames of one scene; check that it is the motion from frame 0's camera to frame 1's, "
             "not a pose in the world, and that both have their axes right, down and forward"
         )

@@ -15,7 +15,7 @@ from tisfm.errors import InputError, RunError
 from tisfm.machine.kernel_cache import cache_options
 from tisfm.machine.memory import keep_freed_memory, require_for_taichi
 from tisfm.machine.vulkan import software_vulkan
-from tisfm.threads import bind_newest, thread_ids
+from tisfm.threads import bind_newest_threads, thread_ids
 
 if TYPE_CHECKING:
     from tisfm.kernels.layout.lanes import LaneGrid
@@ -25,10 +25,11 @@ __all__ = ["start"]
 Arch = Literal["cpu", "cuda", "vulkan", "metal"]
 ARCHS = get_args(Arch)
 _start_lock = threading.Lock()
-_process: int | None = None  # id of the process in which Taichi was started or found running
+# id of the process in which Taichi was started, or was already running
+_taichi_process_id: int | None = None
 _warned_program_id: int | None = None  # id of the Taichi program that the user was warned about
 _AVX_512F = 13  # OpenCV's number of this CPU feature; cv2 in Python has no name for it
-_NEEDS = {
+_ARCH_REQUIREMENTS = {
     "cuda": "it needs an NVIDIA GPU and its driver (libcuda)",
     "vulkan": "it needs a GPU with a Vulkan driver, and the loader (libvulkan)",
     "metal": "it needs macOS on Apple silicon",
@@ -54,8 +55,8 @@ def start(
         Where kernels run. By default the arch of a running Taichi, or else that of Taichi's
         environment variable TI_ARCH, or else "cpu".
     threads : int, optional
-        Most CPU threads, by default and at most the number of cores. The number does not change
-        results.
+        Maximum number of CPU threads. By default, and at most, the number of cores. It does not
+        change results.
     bind_threads : bool
         Whether to bind each CPU thread to its own core, on Linux, if there are as many threads as
         cores that this process may use. Kernels on small images become faster. Without effect if
@@ -65,8 +66,8 @@ def start(
     -----
     UserWarning
         If Vulkan is emulated in software on the CPU, also in a runtime that an application started:
-        it is slow, and results may be wrong. If an application started Taichi on the CPU without
-        ``real_matrix_scalarize=False``: our kernels may then take minutes to compile.
+        kernels are then slow, and results may be wrong. If an application started Taichi on the CPU
+        without ``real_matrix_scalarize=False``: our kernels may then take minutes to compile.
 
     Raises
     ------
@@ -96,7 +97,7 @@ def start(
         ...
     tisfm.errors.InputError: arch is 'quantum': expected one of ...
     """
-    global _process
+    global _taichi_process_id
     if arch is not None and arch not in ARCHS:
         raise InputError(f"arch is {arch!r}: expected one of {', '.join(map(repr, ARCHS))}")
     if threads is not None and (
@@ -105,19 +106,20 @@ def start(
         raise InputError(f"threads is {threads!r}: expected a positive integer, or None for all")
     if threads is not None:  # Taichi would start all these threads, even more than cores
         threads = min(int(threads), os.cpu_count() or 1)
-    if _process not in (None, os.getpid()):
+    if _taichi_process_id not in (None, os.getpid()):
         raise RunError(
             "this process was forked from one in which Taichi ran, whose threads have stayed "
             'there: start workers afresh, as multiprocessing.get_context("spawn") does, or fork '
             "before the first interpretation"
         )
     with _start_lock:
-        _process = os.getpid()  # set first: the process may fork while this thread starts Taichi
+        # Set first: the process may fork while this thread starts Taichi.
+        _taichi_process_id = os.getpid()
         try:
             _start(arch, threads, bind_threads)
         finally:
             if not _is_running():
-                _process = None
+                _taichi_process_id = None
 
 
 def start_worker(arch: Arch | None = None, *, threads: int | None = None) -> None:
@@ -135,9 +137,9 @@ def start_worker(arch: Arch | None = None, *, threads: int | None = None) -> Non
 def _start(arch: Arch | None, threads: int | None, bind_threads: bool) -> None:
     if _is_running():
         _check_running(arch, threads)
-        _warn_of_application()
+        _warn_of_slow_options()
         return
-    arch_name = arch or _arch_of_environment()
+    arch_name = arch or _environment_arch()
     if arch_name == "vulkan" and (device := software_vulkan()):
         warnings.warn(software_vulkan_message(device), SoftwareVulkanWarning, stacklevel=3)
     require_for_taichi(threads or os.cpu_count() or 1)
@@ -159,7 +161,7 @@ def _start(arch: Arch | None, threads: int | None, bind_threads: bool) -> None:
     earlier_threads = thread_ids()
     _initialise(arch_name, options)
     if arch_name == "cpu" and bind_threads:
-        bind_newest(_max_threads(), earlier_threads)
+        bind_newest_threads(_max_threads(), earlier_threads)
 
 
 def _initialise(arch: str, options: dict[str, Any]) -> None:
@@ -178,7 +180,7 @@ def _initialise(arch: str, options: dict[str, Any]) -> None:
             materialize()
     except RuntimeError as error:
         raise RunError(
-            f"Taichi cannot run on {arch!r} here: {_NEEDS.get(arch, str(error))}"
+            f"Taichi cannot run on {arch!r} here: {_ARCH_REQUIREMENTS.get(arch, str(error))}"
         ) from error
     finally:
         if environment_arch is not None:
@@ -190,12 +192,12 @@ def _initialise(arch: str, options: dict[str, Any]) -> None:
 def software_vulkan_message(device: str) -> str:
     """Return the warning for a software Vulkan device of this name."""
     return (
-        f"vulkan runs on {device}, software on the CPU, not a GPU: it is slow, and answers may "
-        'be wrong; take arch="cpu" (--arch cpu)'
+        f"vulkan runs on {device}, software on the CPU, not a GPU: it is slow, and results may "
+        'be wrong; use arch="cpu" (--arch cpu)'
     )
 
 
-def _arch_of_environment() -> str:
+def _environment_arch() -> str:
     from tisfm.kernels.layout import CPU_ARCHS
 
     arch = os.environ.get("TI_ARCH", "cpu")
@@ -207,7 +209,7 @@ def _arch_of_environment() -> str:
     return "cpu" if arch in CPU_ARCHS else arch
 
 
-def on_gpu() -> bool:
+def runs_on_gpu() -> bool:
     """Return whether kernels run on a GPU; start the runtime if necessary."""
     start()
     return running_arch() != "cpu"
@@ -222,7 +224,7 @@ def running_arch() -> str:
 
 def lanes() -> int:
     """Return the lane count for the running arch; start the runtime if necessary."""
-    return 1 if on_gpu() else cpu_lanes()
+    return 1 if runs_on_gpu() else cpu_lanes()
 
 
 def cpu_lanes() -> int:
@@ -232,17 +234,17 @@ def cpu_lanes() -> int:
 
 def lane_grid(height: int, width: int) -> "LaneGrid":
     """Return a grid whose arrays have the layout for the running arch and lie on its device."""
-    device = on_gpu()  # first: it starts Taichi, which must precede the import of kernels
+    is_on_gpu = runs_on_gpu()  # first: it starts Taichi, which must precede the import of kernels
     from tisfm.kernels.layout.lanes import LaneGrid
 
     try:
-        return LaneGrid(height, width, lanes=lanes(), on_device=device)
+        return LaneGrid(height, width, lanes=lanes(), on_device=is_on_gpu)
     except ValueError as error:  # the frames are larger than kernels can index
         raise InputError(str(error)) from None
 
 
 def threads() -> int:
-    """Return the most CPU threads that kernels use; start the runtime if necessary."""
+    """Return the maximum number of CPU threads of kernels; start the runtime if necessary."""
     start()
     return _max_threads()
 
@@ -266,11 +268,11 @@ def _check_running(arch: str | None, threads: int | None) -> None:
 
     from tisfm.kernels.layout import internals
 
-    running = internals.configuration()
-    if running.default_ip != ti.i32:
+    configuration = internals.configuration()
+    if configuration.default_ip != ti.i32:
         raise RunError(
-            f"Taichi already runs with default_ip={running.default_ip.to_string()}: its compiler "
-            "fails on our kernels then; start it with ti.i32, its default"
+            f"Taichi already runs with default_ip={configuration.default_ip.to_string()}: its "
+            "compiler fails on our kernels then; start it with ti.i32, its default"
         )
     if arch is not None and running_arch() != arch:
         raise RunError(
@@ -278,14 +280,14 @@ def _check_running(arch: str | None, threads: int | None) -> None:
             "tisfm.runtime.start before the first interpretation, or let the application that "
             "started Taichi choose"
         )
-    if threads is not None and running.cpu_max_num_threads != threads:
+    if threads is not None and configuration.cpu_max_num_threads != threads:
         raise RunError(
-            f"Taichi already runs with {running.cpu_max_num_threads} threads, asked for "
+            f"Taichi already runs with {configuration.cpu_max_num_threads} threads, asked for "
             f"{threads}: call tisfm.runtime.start before the first interpretation"
         )
 
 
-def _warn_of_application() -> None:
+def _warn_of_slow_options() -> None:
     """Warn, once for each ``ti.init``, if an application started Taichi with slow options.
 
     The options are splitting of vectors into scalars, or Vulkan that is emulated in software.

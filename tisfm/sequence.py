@@ -19,7 +19,7 @@ from tisfm.settings import Settings, check_settings
 from tisfm.sources import BadFrames, FramePair, FrameSource, Source
 from tisfm.sources.frame_reader import warn_notes
 from tisfm.sources.masks import Mask
-from tisfm.window import Window, WindowSize, window_of
+from tisfm.window import Window, WindowSize, make_window
 
 
 def interpret_sequence(
@@ -81,7 +81,6 @@ def interpret_sequence(
         the previous frame, with nearly the same motion. The data of the previous pair are dropped
         at cuts, after pairs that failed, and where frames are skipped. They take the memory of a
         third grey frame and a flow.
-
     workers : int
         Processes of this machine that share the pairs, each with its share of the cores. The
         number does not change results. With several workers, the source and the mask must be
@@ -137,17 +136,21 @@ def interpret_sequence(
             "out"
         )
     check_workers(workers)
-    kept = window_of(window, settings)
+    previous_pairs = make_window(window, settings)
     if workers == 1:
-        return _interpret_pairs(frames, attach_poses(frames, poses), camera, settings, kept)
-    if kept is not None:
+        return _interpret_pairs(
+            frames, attach_poses(frames, poses), camera, settings, previous_pairs
+        )
+    if previous_pairs is not None:
         raise InputError(
-            "window is 3, which needs the result of the pair before: leave out workers"
+            "window is 3, which needs the result of the previous pair: leave out workers"
         )
     if mask is not None and not isinstance(mask, (str, os.PathLike)):
-        raise InputError("mask is no file, which several workers could read: leave out workers")
+        raise InputError(
+            "mask is not a path, and workers need one: give a path, or leave out workers"
+        )
     check_sharable(source, frames)
-    shared = PairSource(
+    pair_source = PairSource(
         source=source if isinstance(source, (str, os.PathLike)) else [*source],
         frames=FrameSelection(
             step=step, start=start, stop=stop, size=size, crop=crop, bad_frames=bad_frames
@@ -156,7 +159,7 @@ def interpret_sequence(
         mask=None if mask is None else os.fspath(mask),
         motions=None if poses is None else [np.asarray(pose) for pose in poses],
     )
-    return _interpret_shared(shared, camera, workers)
+    return _interpret_in_workers(pair_source, camera, workers)
 
 
 def _interpret_pairs(
@@ -166,21 +169,21 @@ def _interpret_pairs(
     settings: Settings,
     window: Window | None,
 ) -> Iterator[Interpretation]:
-    warned_count, first = 0, True
+    warned_count, is_first = 0, True
     with closing(pairs):
         for pair in pairs:
             warned_count = _warn_of_skipped(source, warned_count)
-            if first:
-                camera = _camera_after(source, pair, camera, settings)
+            if is_first:
+                camera = _camera_of_prepared_frames(source, pair, camera, settings)
             result = pair.interpret(camera=camera, settings=settings, window=window)
-            camera, first = camera or result.camera, False  # the guess of the first pair is kept
+            camera, is_first = camera or result.camera, False  # the guess of the first pair is kept
             del pair  # frees its first frame before the next frame is read
             yield result
             del result  # its frame may be that of the source
     _warn_of_skipped(source, warned_count)
 
 
-def _interpret_shared(
+def _interpret_in_workers(
     source: PairSource, camera: Camera | None, workers: int
 ) -> Iterator[Interpretation]:
     """Interpret the first pair in this process, to find the camera, and the others in workers."""
@@ -189,7 +192,7 @@ def _interpret_shared(
         first = next(pairs)
         refuse_float_frames(first)
         warned_count = _warn_of_skipped(frames, 0)
-        camera = _camera_after(frames, first, camera, source.settings)
+        camera = _camera_of_prepared_frames(frames, first, camera, source.settings)
         result = first.interpret(camera=camera, settings=source.settings)
         camera, number = camera or result.camera, source.number(first) + 1
         del first
@@ -201,11 +204,11 @@ def _interpret_shared(
             _warn_of_skipped(frames, warned_count)
             return
     warned_reasons = {reason for _, reason in frames.skipped[:warned_count]}
-    for one in interpret_with_workers(source, camera=camera, workers=workers, first=number):
-        if isinstance(one, Interpretation):
-            yield one
-        elif one not in warned_reasons:
-            warnings.warn(f"{one}; the frame is skipped", stacklevel=2)
+    for outcome in interpret_with_workers(source, camera=camera, workers=workers, first=number):
+        if isinstance(outcome, Interpretation):
+            yield outcome
+        elif outcome not in warned_reasons:
+            warnings.warn(f"{outcome}; the frame is skipped", stacklevel=2)
 
 
 def _warn_of_skipped(source: FrameSource, warned_count: int) -> int:
@@ -215,13 +218,13 @@ def _warn_of_skipped(source: FrameSource, warned_count: int) -> int:
     return len(source.skipped)
 
 
-def _camera_after(
+def _camera_of_prepared_frames(
     source: FrameSource, pair: FramePair, camera: Camera | None, settings: Settings
 ) -> Camera | None:
     """Return the camera of the cropped and shrunk frames; None if `interpret` is to choose it."""
-    known = source.first_file or pair.full_shape
-    if camera is None and known is not None and settings.motion != "field":
-        camera = guess_camera(known)
+    file_or_shape = source.first_file or pair.full_shape
+    if camera is None and file_or_shape is not None and settings.motion != "field":
+        camera = guess_camera(file_or_shape)
     return (
         camera
         if pair.full_shape is None

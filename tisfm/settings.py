@@ -16,12 +16,12 @@ Preset = Literal["paper", "fast", "balanced", "accurate"]
 
 PAPER_SMOOTHNESS = 1e8 / 600**2  # the paper's λ = 1e8 at its f = 600, as λ̂ = λ/f²
 # Bounds of weights and scales. Within them, products of several settings with grey levels and
-# motions fit into float32, and α stays above the least pivots of the linear solvers.
+# motions fit into float32, and α stays above the smallest pivots of the linear solvers.
 MIN_SMOOTHNESS = 1e-6
 MAX_SMOOTHNESS = 1e12
 _MAX_WEIGHT = 1e6
 _MIN_CONTRAST = 1e-3  # px/frame: below it, rounding in float32 can make the energy rise
-# The most of every count: more than any use needs, but a run still ends or can be interrupted.
+# Upper bounds of counts: more than any use needs, but a run still ends or can be interrupted.
 _MAX_COUNTS = {
     "pyramid_levels": 100,
     "finest_level": 100,
@@ -32,12 +32,14 @@ _MAX_COUNTS = {
     "cycles": 1000,
     "max_objects": 255,  # the search for objects stores labels as bytes
 }
-_COUNTS_FROM_0 = ("finest_level", "cycles")
+_COUNTS_THAT_MAY_BE_0 = ("finest_level", "cycles")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
     """Settings of an interpretation; without arguments, the preset ``"balanced"``.
+
+    Equations are numbered as in the paper of Sekkati and Mitiche (`tisfm.interpret`).
 
     Parameters
     ----------
@@ -197,44 +199,50 @@ class Settings:
             ("solver", Solver),
         ):
             _check_choice(name, getattr(self, name), get_args(kind))
-        least, most = MIN_SMOOTHNESS, MAX_SMOOTHNESS
-        _check_real("smoothness", self.smoothness, least=least, most=most)
-        _check_real("beta", self.beta, least=1 / _MAX_WEIGHT, most=_MAX_WEIGHT)
-        if not least <= float(self.smoothness) * float(self.beta) <= most:
+        min_weight, max_weight = MIN_SMOOTHNESS, MAX_SMOOTHNESS
+        _check_real("smoothness", self.smoothness, minimum=min_weight, maximum=max_weight)
+        _check_real("beta", self.beta, minimum=1 / _MAX_WEIGHT, maximum=_MAX_WEIGHT)
+        if not min_weight <= float(self.smoothness) * float(self.beta) <= max_weight:
             raise InputError(
                 f"smoothness · beta is {float(self.smoothness):g} · {float(self.beta):g}: expected "
-                f"a product of at least {least:g} and at most {most:g}"
+                f"a product of at least {min_weight:g} and at most {max_weight:g}"
             )
         if self.contrast is not None:
-            _check_real("contrast", self.contrast, least=_MIN_CONTRAST, most=_MAX_WEIGHT)
+            _check_real("contrast", self.contrast, minimum=_MIN_CONTRAST, maximum=_MAX_WEIGHT)
         for name in ("joint_edges", "align_scales"):
             value = getattr(self, name)
             if not isinstance(value, bool):
                 raise InputTypeError(f"{name} is {value!r}: expected True or False")
         object.__setattr__(self, "stiffness", _check_stiffness(self.stiffness))
-        _check_real("image_edges", self.image_edges, least=0, most=_MAX_WEIGHT)
+        _check_real("image_edges", self.image_edges, minimum=0, maximum=_MAX_WEIGHT)
         for name in ("brightness", "gradient"):
-            _check_real(name, getattr(self, name), least=0, most=_MAX_WEIGHT)
+            _check_real(name, getattr(self, name), minimum=0, maximum=_MAX_WEIGHT)
         if not self.brightness + self.gradient > 0:
             raise InputError("brightness and gradient are both 0: give one of them a weight")
         if self.normalization is not None:
-            _check_real("normalization", self.normalization, least=0, most=_MAX_WEIGHT)
+            _check_real("normalization", self.normalization, minimum=0, maximum=_MAX_WEIGHT)
         if self.data_contrast is not None:
-            _check_real("data_contrast", self.data_contrast, least=_MIN_CONTRAST, most=_MAX_WEIGHT)
-        _check_real("depth_smoothness", self.depth_smoothness, least=least, most=most)
-        _check_real("depth_brightness", self.depth_brightness, least=0, most=_MAX_WEIGHT)
+            _check_real(
+                "data_contrast", self.data_contrast, minimum=_MIN_CONTRAST, maximum=_MAX_WEIGHT
+            )
+        _check_real(
+            "depth_smoothness", self.depth_smoothness, minimum=min_weight, maximum=max_weight
+        )
+        _check_real("depth_brightness", self.depth_brightness, minimum=0, maximum=_MAX_WEIGHT)
         if not self.depth_brightness + self.gradient > 0:
             raise InputError("depth_brightness and gradient are both 0: give one of them a weight")
         if self.depth_normalization is not None:
-            _check_real("depth_normalization", self.depth_normalization, least=0, most=_MAX_WEIGHT)
-        _check_real("presmoothing", self.presmoothing, least=0, most=100)
-        _check_real("pyramid_factor", self.pyramid_factor, least=0.5, most=0.95)
-        _check_real("relaxation", self.relaxation, least=0.01, below=2)
-        _check_real("tolerance", self.tolerance, least=0)
-        for name, most_of in _MAX_COUNTS.items():
+            _check_real(
+                "depth_normalization", self.depth_normalization, minimum=0, maximum=_MAX_WEIGHT
+            )
+        _check_real("presmoothing", self.presmoothing, minimum=0, maximum=100)
+        _check_real("pyramid_factor", self.pyramid_factor, minimum=0.5, maximum=0.95)
+        _check_real("relaxation", self.relaxation, minimum=0.01, upper_bound=2)
+        _check_real("tolerance", self.tolerance, minimum=0)
+        for name, max_count in _MAX_COUNTS.items():
             if name != "pyramid_levels" or self.pyramid_levels is not None:
-                fewest = 0 if name in _COUNTS_FROM_0 else 1
-                _check_count(name, getattr(self, name), least=fewest, most=most_of)
+                min_count = 0 if name in _COUNTS_THAT_MAY_BE_0 else 1
+                _check_count(name, getattr(self, name), minimum=min_count, maximum=max_count)
         # Convert to Python numbers: settings are compared, hashed and written to JSON.
         for field in fields(self):
             value = getattr(self, field.name)
@@ -269,11 +277,11 @@ class Settings:
         3
         """
         _check_choice("preset", name, tuple(_PRESETS))
-        known = {field.name for field in fields(cls)}
-        unknown = sorted(set(changes) - known)
+        names = {field.name for field in fields(cls)}
+        unknown = sorted(set(changes) - names)
         if unknown:
             raise InputError(
-                f"no setting is named {', '.join(unknown)}: settings are {', '.join(sorted(known))}"
+                f"no setting is named {', '.join(unknown)}: settings are {', '.join(sorted(names))}"
             )
         return replace(_PRESETS[name], **changes)
 
@@ -317,10 +325,10 @@ def _check_real(
     name: str,
     value: object,
     *,
-    least: float = -math.inf,
-    most: float = math.inf,
-    above: float = -math.inf,
-    below: float = math.inf,
+    minimum: float = -math.inf,
+    maximum: float = math.inf,
+    lower_bound: float = -math.inf,
+    upper_bound: float = math.inf,
 ) -> None:
     if isinstance(value, bool) or not isinstance(value, Real):
         raise InputTypeError(f"{name} is {value!r}: expected a number")
@@ -328,14 +336,16 @@ def _check_real(
         number = float(value)
     except OverflowError:  # an integer beyond the range of floats
         number = math.inf
-    if not math.isfinite(number) or not (least <= number <= most and above < number < below):
+    if not math.isfinite(number) or not (
+        minimum <= number <= maximum and lower_bound < number < upper_bound
+    ):
         bounds = [
             f"{word} {bound:g}"
             for word, bound in (
-                ("at least", least),
-                ("at most", most),
-                ("above", above),
-                ("below", below),
+                ("at least", minimum),
+                ("at most", maximum),
+                ("above", lower_bound),
+                ("below", upper_bound),
             )
             if math.isfinite(bound)
         ]
@@ -346,15 +356,15 @@ def _check_stiffness(stiffness: object) -> tuple[float, ...]:
     if isinstance(stiffness, str) or not isinstance(stiffness, Sequence) or len(stiffness) != 6:
         raise InputTypeError(f"stiffness is {stiffness!r}: expected 6 numbers")
     for k, value in enumerate(stiffness):
-        _check_real(f"stiffness[{k}]", value, least=1e-3, most=_MAX_WEIGHT)
+        _check_real(f"stiffness[{k}]", value, minimum=1e-3, maximum=_MAX_WEIGHT)
     return tuple(float(value) for value in stiffness)
 
 
-def _check_count(name: str, value: object, *, least: int, most: int) -> None:
+def _check_count(name: str, value: object, *, minimum: int, maximum: int) -> None:
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise InputTypeError(f"{name} is {value!r}: expected an integer")
-    if not least <= int(value) <= most:
-        raise InputError(f"{name} is {value}: expected at least {least} and at most {most}")
+    if not minimum <= int(value) <= maximum:
+        raise InputError(f"{name} is {value}: expected at least {minimum} and at most {maximum}")
 
 
 _PRESETS: dict[str, Settings] = {

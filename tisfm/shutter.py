@@ -1,8 +1,8 @@
-"""Removal of rolling shutter, which reads the rows of a frame one after another, as in phones.
+"""Removal of the effect of a rolling shutter, which reads the rows of a frame one after another.
 
 A moving camera sees every row from another position. The pose of a frame is that of its middle row.
-Row y is read `readout` · (y − middle) / H intervals later; an interval is the time from one frame
-of the source to the next.
+Row y is read `readout` · (y − middle) / H intervals after the middle row; an interval is the time
+from one frame of the source to the next.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,14 +17,14 @@ from tisfm.resampling import Resampling
 from tisfm.rigid import rigid_twist
 
 # All of these were set by hand.
-MIN_DEPTH = 1e-6  # least Z of a visible point
-MAX_GAP = 2.0  # median times between frames: the motion within a longer gap is not used
+MIN_DEPTH = 1e-6  # smallest Z of a visible point
+MAX_GAP_RATIO = 2.0  # gap between frames over the median gap: longer gaps give no rate
 NODES_ON_LONGER_SIDE = 33  # between these nodes, displacements are interpolated
 ROW_ITERATIONS = 4  # iterations to find the row in which a pixel was read
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rolling:
+class RollingShutterMotion:
     """The camera's motion while frames were read."""
 
     camera: Camera  # the pinhole camera with which the rates were estimated
@@ -32,10 +32,10 @@ class Rolling:
     # first, 0 if all rows are read at once
     readout: float
     deviation: float = 0.0  # standard deviation of the readout; 0 if the readout was given
-    # dict of int to (6,) float64: by frame: the twist (T, ω) of the scene relative to the camera,
+    # dict of int to (6,) float64: by frame, the twist (T, ω) of the scene relative to the camera,
     # per interval
     rates: Mapping[int, np.ndarray] = field(default_factory=dict)
-    # by frame: the median inverse depth, 1/unit of the rates
+    # by frame, the median inverse depth, 1/unit of the rates
     inverse_depth: Mapping[int, float] = field(default_factory=dict)
 
 
@@ -60,44 +60,46 @@ def motion_rates(
 ) -> dict[int, np.ndarray]:
     """Return the twist of the scene relative to the camera at every frame, (6,), per interval."""
     frames = sorted(poses)
-    times = {frame: instants[after] - instants[frame] for frame, after in pairwise(frames)}
-    max_gap = MAX_GAP * float(np.median(list(times.values()))) if times else 0.0
+    times = {
+        frame: instants[next_frame] - instants[frame] for frame, next_frame in pairwise(frames)
+    }
+    max_gap = MAX_GAP_RATIO * float(np.median(list(times.values()))) if times else 0.0
     twists = {
-        frame: _twist(poses[frame], poses[after]) / times[frame]
-        for frame, after in pairwise(frames)
+        frame: _twist_between(poses[frame], poses[next_frame]) / times[frame]
+        for frame, next_frame in pairwise(frames)
     }
     rates = {}
     for k, frame in enumerate(frames):
-        neighbours = [near for near in frames[max(0, k - 1) : k + 1] if near in twists]
-        in_short_gaps = [near for near in neighbours if times[near] <= max_gap] or neighbours
-        if in_short_gaps:
-            rates[frame] = np.mean([twists[near] for near in in_short_gaps], axis=0)
+        neighbours = [other for other in frames[max(0, k - 1) : k + 1] if other in twists]
+        near_neighbours = [other for other in neighbours if times[other] <= max_gap] or neighbours
+        if near_neighbours:
+            rates[frame] = np.mean([twists[other] for other in near_neighbours], axis=0)
     return rates
 
 
 def points_at_middle_row(
     points: np.ndarray,  # (N, 2) array: px
     depth: np.ndarray,  # (N,) array: Z of each point, positive
-    rate: np.ndarray,  # (6,) array: rate of the frame, as in `Rolling`
+    rate: np.ndarray,  # (6,) array: rate of the frame, as in `RollingShutterMotion`
     readout: float,
     camera: Camera,  # a pinhole
     shape: tuple[int, int],  # height and width, px
 ) -> np.ndarray:
-    """Return points of a frame as if all rows were read with the middle one, (N, 2) px.
+    """Return points of a frame as if all rows were read with the middle row, (N, 2) px.
 
     Points that would be behind the camera stay unchanged.
     """
     center = np.array(camera.center_for(*shape))
     ray = np.column_stack([(points - center) / camera.focal, np.ones(len(points))])
     delay = _delay(points[:, 1], readout, shape)
-    moved = moved_by_twist(ray * np.asarray(depth)[:, None], rate, -delay)
+    moved = move_by_twist(ray * np.asarray(depth)[:, None], rate, -delay)
     in_front = moved[:, 2] > MIN_DEPTH
     corrected = np.array(points, np.float64)
     corrected[in_front] = moved[in_front, :2] / moved[in_front, 2:] * camera.focal + center
     return corrected
 
 
-def moved_by_twist(points: np.ndarray, rate: np.ndarray, time: np.ndarray) -> np.ndarray:
+def move_by_twist(points: np.ndarray, rate: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Return points, (N, 3), moved by a twist (T, ω) for the given times, (N,)."""
     velocity, spin = rate[:3], rate[3:]
     angle = max(float(np.linalg.norm(spin)), 1e-12)
@@ -116,14 +118,14 @@ def moved_by_twist(points: np.ndarray, rate: np.ndarray, time: np.ndarray) -> np
     )
 
 
-class UnrolledPixels(Resampling):
-    """The map from a frame to the same frame with all rows read with the middle one."""
+class GlobalShutterMap(Resampling):
+    """The map from a frame to the same frame with all rows read with the middle row."""
 
     def __init__(
         self,
         camera: Camera,  # a pinhole
         readout: float,
-        rate: np.ndarray,  # (6,) array: rate of the frame, as in `Rolling`
+        rate: np.ndarray,  # (6,) array: rate of the frame, as in `RollingShutterMotion`
         # float or (h, w) array: inverse depth of the whole frame, or at its `interpolation_nodes`
         # at the time of the middle row, 1/unit of the rate. Zero and negative values count as far.
         inverse_depth: float | np.ndarray,
@@ -138,18 +140,18 @@ class UnrolledPixels(Resampling):
         sources = targets
         for _ in range(ROW_ITERATIONS):
             delay = _delay(sources[:, 1], readout, shape)
-            moved = moved_by_twist(ray * depth[:, None], rate, delay)
+            moved = move_by_twist(ray * depth[:, None], rate, delay)
             sources = moved[:, :2] / np.maximum(moved[:, 2:], MIN_DEPTH) * camera.focal + center
-        nodes = (sources - targets).reshape(nodes_xy.shape).astype(np.float32)
+        node_flow = (sources - targets).reshape(nodes_xy.shape).astype(np.float32)
         rows, columns = nodes_xy.shape[:2]
         node_columns = np.linspace(0, columns - 1, width, dtype=np.float32)
         node_rows = np.linspace(0, rows - 1, height, dtype=np.float32)
-        flow = cv2.remap(nodes, *np.meshgrid(node_columns, node_rows), cv2.INTER_LINEAR)
+        flow = cv2.remap(node_flow, *np.meshgrid(node_columns, node_rows), cv2.INTER_LINEAR)
         super().__init__(np.ascontiguousarray(np.moveaxis(flow, -1, 0)))
 
 
-class UnrolledFrame(UnrolledPixels):
-    """`UnrolledPixels` of a frame of a sequence.
+class GlobalShutterFrameMap(GlobalShutterMap):
+    """`GlobalShutterMap` of a frame of a sequence.
 
     The whole frame is assumed to have one depth. The correction for the camera's rotation is exact;
     the correction for its translation is that of a point at this depth.
@@ -157,7 +159,7 @@ class UnrolledFrame(UnrolledPixels):
 
     def __init__(
         self,
-        rolling: Rolling,
+        rolling: RollingShutterMotion,
         frame: int,  # a frame with a rate
         shape: tuple[int, int],  # height and width, px
     ) -> None:
@@ -175,10 +177,10 @@ def interpolation_nodes(shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _delay(y: np.ndarray, readout: float, shape: tuple[int, ...]) -> np.ndarray:
-    """Return the time from the readout of the middle row to that of rows, intervals."""
+    """Return the time from the readout of the middle row to the readout of row y, intervals."""
     return readout * (y - (shape[0] - 1) / 2) / shape[0]
 
 
-def _twist(pose: np.ndarray, after: np.ndarray) -> np.ndarray:
-    motion = np.linalg.inv(after) @ pose
+def _twist_between(pose: np.ndarray, next_pose: np.ndarray) -> np.ndarray:
+    motion = np.linalg.inv(next_pose) @ pose
     return rigid_twist(motion[:3, :3], motion[:3, 3])

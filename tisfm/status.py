@@ -13,7 +13,7 @@ STATUSES = (
     "unexplained", "uncertain",
 )  # fmt: skip
 """Codes of `Status`."""
-UNKNOWN = "This version of tisfm does not know this status: treat it as doubtful."
+UNKNOWN_STATUS_ADVICE = "This version of tisfm does not know this status: treat it as doubtful."
 """The message for a code that is not in `STATUSES`."""
 _CODE = re.compile(r"[a-z_]+")
 

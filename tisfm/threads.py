@@ -27,20 +27,19 @@ def thread_ids() -> list[int]:
         return []
 
 
-def bind_newest(
+def bind_newest_threads(
     count: int,  # number of newest threads to bind
-    before: list[int],  # `thread_ids` from before these threads were started
+    earlier_threads: list[int],  # `thread_ids` from before these threads were started
 ) -> bool:
-    """Bind each of the newest threads to its own core, if threads and cores are equally many.
+    """Bind each of the newest threads to its own core, if there are as many threads as cores.
 
-    Returns whether the threads are bound now. They are not if there are fewer threads than cores of
-    this process, since other processes would bind to the same cores; and on systems without such a
-    call.
+    Returns whether the threads are bound now. They are not if this process has more cores than
+    threads, because other processes would bind to the same cores; nor on systems that cannot bind.
     """
     if not hasattr(os, "sched_setaffinity"):
         return False
-    known = set(before)
-    threads = [thread for thread in thread_ids() if thread not in known][-count:]
+    earlier_ids = set(earlier_threads)
+    threads = [thread for thread in thread_ids() if thread not in earlier_ids][-count:]
     cores = sorted(os.sched_getaffinity(0))
     if not len(threads) == count == len(cores) > 1:
         return False
@@ -62,9 +61,9 @@ def _second_thread() -> Executor:
     return ThreadPoolExecutor(max_workers=1, thread_name_prefix="tisfm-second")
 
 
-def start_beside(function: Callable[..., Any], *arguments: Any) -> Callable[[], Any]:
+def start_in_second_thread(function: Callable[..., Any], *arguments: Any) -> Callable[[], Any]:
     """Start a call in the second thread; return a function that waits for its result."""
     try:
         return _second_thread().submit(function, *arguments).result
-    except RuntimeError:  # the main thread and the second thread have ended: call later, here
+    except RuntimeError:  # the main and the second thread have ended: call it later, in this thread
         return cache(partial(function, *arguments))

@@ -29,7 +29,7 @@ class Window:
         self._spacing = spacing
 
 
-def window_of(size: WindowSize, settings: Settings) -> Window | None:
+def make_window(size: WindowSize, settings: Settings) -> Window | None:
     """Return a `Window` for three frames, None for two.
 
     Raises TypeError, ValueError if `size` is not 2 or 3, or is 3 for a motion model that uses pairs

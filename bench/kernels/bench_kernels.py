@@ -247,7 +247,7 @@ def bench_taichi(problem, case, lanes, measure, pytestconfig, full_reference):
         components,
         scheme=case.scheme,
         solver=case.solver,
-        on_device=runtime.on_gpu(),
+        on_device=runtime.runs_on_gpu(),
     )
     run, read = getattr(operations, case.step)()
     reference_case = case.without_solver()

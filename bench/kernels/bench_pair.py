@@ -107,7 +107,7 @@ def bench_pair_numpy(problem, preset, model, measure, full_reference):
 @each_model
 @each_solver
 def bench_pair_taichi(problem, preset, model, solver, lanes, measure, monkeypatch):
-    on_device = runtime.on_gpu()
+    on_device = runtime.runs_on_gpu()
     monkeypatch.setattr(
         coarse_to_fine, "lane_grid", lambda *size: LaneGrid(*size, lanes, on_device=on_device)
     )

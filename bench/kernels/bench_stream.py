@@ -41,7 +41,7 @@ STREAMS = {
 
 @pytest.mark.parametrize("name", STREAMS)
 def bench_stream(name, arrays, measure):
-    if name == "NumPy copy" and runtime.on_gpu():
+    if name == "NumPy copy" and runtime.runs_on_gpu():
         pytest.skip("NumPy cannot access the memory of a GPU")
     words, move = STREAMS[name]
 

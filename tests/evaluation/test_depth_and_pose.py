@@ -259,7 +259,7 @@ def test_depth_is_resampled_as_the_frames_are(tmp_path):
     (_, result, loaded), camera = seen[0], found.camera
     assert camera == Camera((56, 64), (27.5, 19.5), (-0.1, 0, 0, 0))
     lens = Undistortion(camera, H, W)
-    expected = lens.nearest((1 + 0.1 * rows).astype(np.float32))
+    expected = lens.apply_nearest((1 + 0.1 * rows).astype(np.float32))
     np.testing.assert_array_equal(loaded.depth, expected)
     assert 0 < np.isnan(expected).sum() < expected.size / 2
     assert found.depth == depth_errors(result.depth, expected)

@@ -115,7 +115,7 @@ def test_true_masks_are_seen_through_the_lens_of_the_result(tmp_path):
     true[:, 2:30, 3:40] = 255
     camera = Camera(focal=60.0, distortion=(-0.2, 0, 0, 0))
     lens = Undistortion(camera, 60, 80)
-    seen = np.stack([np.nan_to_num(lens.nearest(np.float32(one))) for one in true])
+    seen = np.stack([np.nan_to_num(lens.apply_nearest(np.float32(one))) for one in true])
     labels = np.where(lens.valid, seen / 255, 0).astype(np.uint8)
     save(tmp_path / "clip" / "masks", true)
     save(tmp_path / "result" / "masks", labels, indexed=True)

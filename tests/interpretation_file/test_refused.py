@@ -47,7 +47,7 @@ def test_a_bug_of_ours_is_no_damage(saved, monkeypatch):
     def fails(about):
         raise LookupError("a bug")
 
-    monkeypatch.setattr("tisfm.interpretation_file._camera", fails)
+    monkeypatch.setattr("tisfm.interpretation_file._read_camera", fails)
     with pytest.raises(LookupError, match="a bug"):
         Interpretation.load(saved)
 

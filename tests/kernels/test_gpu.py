@@ -43,7 +43,7 @@ os.environ["ENABLE_TAICHI_HEADER_PRINT"] = "0"
 import taichi as ti
 ti.init(ti.cpu, fast_math=False, log_level=ti.WARN)
 from tisfm import runtime
-runtime.on_gpu = lambda: True
+runtime.runs_on_gpu = lambda: True
 """
 STARTED = """
 from tisfm import runtime
@@ -136,7 +136,7 @@ def test_kernels_of_a_gpu_give_the_same_answer(case, tmp_path):
 
 
 def test_arrays_of_a_grid_stay_on_the_device(monkeypatch):
-    monkeypatch.setattr(runtime, "on_gpu", lambda: True)
+    monkeypatch.setattr(runtime, "runs_on_gpu", lambda: True)
     pair = scenes.two_blocks(24, 33, samples=1)
     grids = []
 

@@ -13,7 +13,7 @@ from tests.rendered import room_film
 from tisfm.metrics import pose_errors
 from tisfm.motion.rolling_shutter import _depth_of_frame1
 from tisfm.rigid import pose_matrix, rigid_motion
-from tisfm.shutter import UnrolledPixels, interpolation_nodes
+from tisfm.shutter import GlobalShutterMap, interpolation_nodes
 
 READOUT = 0.8
 MOTIONS = {
@@ -167,6 +167,6 @@ def test_one_depth_at_all_nodes_is_one_depth():
     nodes = np.full(interpolation_nodes(shape).shape[:2], 0.25)
     image = np.random.default_rng(0).uniform(0, 255, shape).astype(np.float32)
     one, other = (
-        UnrolledPixels(camera, 0.7, twist, depth, shape).apply(image) for depth in (0.25, nodes)
+        GlobalShutterMap(camera, 0.7, twist, depth, shape).apply(image) for depth in (0.25, nodes)
     )
     np.testing.assert_array_equal(one, other)

@@ -19,7 +19,7 @@ from tisfm.reconstruction.objects.sequence_labels import SequenceLabels, find_st
 from tisfm.reconstruction.path.path_solver import CameraPath
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import bodies_path
-from tisfm.shutter import Rolling
+from tisfm.shutter import RollingShutterMotion
 from tisfm.sources.frame_reader import SourceFrame
 
 OBJECTS = tisfm.Settings.preset("fast", motion="objects")
@@ -90,7 +90,7 @@ def test_labels_move_with_the_pixels(tmp_path, cause):
         frames.correct(Camera(focal=60.0, distortion=(0.15, 0, 0, 0)))
     else:
         rate = np.array([0.0, 0, 0, 0, 0.15, 0])
-        rolling = Rolling(
+        rolling = RollingShutterMotion(
             camera=frames.camera, readout=0.9, rates={0: rate}, inverse_depth={0: 1.0}
         )
         frames.correct(frames.camera, rolling)
@@ -133,7 +133,7 @@ def test_path_begins_again_with_corrected_frames(tmp_path, is_given):
     straight = Undistortion(lens, 120, 160)
     np.testing.assert_array_equal(frames.grey(0), straight.apply(pictures[0].astype(np.float32)))
     if is_given:
-        moved = np.nan_to_num(straight.nearest(true[0].astype(np.float32)))
+        moved = np.nan_to_num(straight.apply_nearest(true[0].astype(np.float32)))
         np.testing.assert_array_equal(frames.labels(0), moved)
 
 

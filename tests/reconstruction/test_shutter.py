@@ -6,7 +6,13 @@ import pytest
 
 from tisfm.camera import Camera
 from tisfm.rigid import pose_matrix
-from tisfm.shutter import Rolling, UnrolledFrame, motion_rates, moved_by_twist, points_at_middle_row
+from tisfm.shutter import (
+    GlobalShutterFrameMap,
+    RollingShutterMotion,
+    motion_rates,
+    move_by_twist,
+    points_at_middle_row,
+)
 
 CAMERA, SHAPE = Camera(focal=120.0, center=(83.0, 55.0)), (121, 160)
 TWIST = np.array([0.1, -0.04, 0.16, 0.08, -0.12, 0.1])
@@ -21,7 +27,7 @@ def moved(points, twist):
 def test_points_are_moved_as_rigid_motions_move_them(twist):
     points = np.random.default_rng(0).normal(size=(7, 3))
     times = np.linspace(-1.5, 2, 7)
-    for point, time, found in zip(points, times, moved_by_twist(points, twist, times), strict=True):
+    for point, time, found in zip(points, times, move_by_twist(points, twist, times), strict=True):
         np.testing.assert_allclose(found, moved(point, time * twist), atol=1e-12)
 
 
@@ -76,7 +82,7 @@ def test_points_go_to_where_the_middle_row_would_have_them(readout):
 def test_corrected_frame_is_the_view_of_its_middle_row():
     """The scene is a plane with a smooth pattern, in front of the camera."""
     depth, readout = 4.0, 0.8
-    rolling = Rolling(
+    rolling = RollingShutterMotion(
         camera=CAMERA, readout=readout, rates={3: TWIST}, inverse_depth={3: 1 / depth}
     )
     height, width = SHAPE
@@ -89,7 +95,7 @@ def test_corrected_frame_is_the_view_of_its_middle_row():
     # Pixels of the frame are points of a surface that is a plane at the middle row.
     middle = points_at_middle_row(taken, np.full(len(taken), depth), TWIST, readout, CAMERA, SHAPE)
     frame = pattern(*middle.T).reshape(SHAPE).astype(np.float32)
-    made = UnrolledFrame(rolling, 3, SHAPE)
+    made = GlobalShutterFrameMap(rolling, 3, SHAPE)
     found = made.apply(frame)
     off = np.abs(found - pattern(x, y))[made.valid]
     assert np.abs(frame - pattern(x, y)).mean() > 5
@@ -99,8 +105,10 @@ def test_corrected_frame_is_the_view_of_its_middle_row():
 
 
 def test_frame_with_a_global_shutter_stays():
-    rolling = Rolling(camera=CAMERA, readout=0.0, rates={0: TWIST}, inverse_depth={0: 0.3})
-    made = UnrolledFrame(rolling, 0, SHAPE)
+    rolling = RollingShutterMotion(
+        camera=CAMERA, readout=0.0, rates={0: TWIST}, inverse_depth={0: 0.3}
+    )
+    made = GlobalShutterFrameMap(rolling, 0, SHAPE)
     frame = cv2.randu(np.zeros(SHAPE, np.uint8), 0, 255)
     assert made.valid.all()
     np.testing.assert_array_equal(made.apply(frame), frame)

@@ -9,7 +9,7 @@ from tisfm.reconstruction.rolling_shutter.readout import estimate_readout
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 from tisfm.rigid import pose_matrix
-from tisfm.shutter import motion_rates, moved_by_twist, points_at_middle_row
+from tisfm.shutter import motion_rates, move_by_twist, points_at_middle_row
 
 CAMERA, SHAPE = Camera(focal=300.0), (240, 320)
 
@@ -34,7 +34,7 @@ def seen_by(poses, readout, noise, outliers=0.0):
         row = np.zeros(len(local))
         for _ in range(8):
             late = readout * (row - (SHAPE[0] - 1) / 2) / SHAPE[0]
-            there = moved_by_twist(local, rates[frame], late)
+            there = move_by_twist(local, rates[frame], late)
             place = CAMERA.focal * there[:, :2] / there[:, 2:] + center
             row = place[:, 1].clip(0, SHAPE[0])
         place += random.normal(0, noise, place.shape)

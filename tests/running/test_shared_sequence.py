@@ -60,7 +60,7 @@ def test_a_skipped_frame_is_warned_of(quick_workers, film):
     [
         ({"workers": 0}, "workers is 0"),
         ({"window": 3}, "leave out workers"),
-        ({"mask": np.ones((24, 40))}, "mask is no file"),
+        ({"mask": np.ones((24, 40))}, "mask is not a path"),
     ],
 )
 def test_options_that_workers_cannot_share(film, options, words):

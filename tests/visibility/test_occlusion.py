@@ -155,9 +155,9 @@ def test_pixels_that_leave_the_image_need_no_backward_flow():
     leaves = leaves_image(flow)
     assert leaves.any()
     settings = tisfm.Settings()
-    found = occlusion(*grey, flow, settings, leaves=leaves)
+    found = occlusion(*grey, flow, settings, is_leaving=leaves)
     np.testing.assert_array_equal(found, occlusion(*grey, flow, settings))
-    assert occlusion(*grey, flow, settings, leaves=~leaves)[~leaves].all()
+    assert occlusion(*grey, flow, settings, is_leaving=~leaves)[~leaves].all()
 
 
 @pytest.mark.parametrize("size", [(16, 40000), (40000, 16)])

@@ -9,7 +9,7 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from tisfm.camera_file import NAME as CAMERA
+from tisfm.camera_file import FILE_NAME as CAMERA
 from tisfm.camera_file import read_camera
 from tisfm.checks import check_whole_numbers
 from tisfm.errors import InputError
@@ -102,7 +102,7 @@ def _in_one_grid(
             camera = read_camera(folder, true.shape)
             if not camera.is_pinhole:
                 lens = lens or Undistortion(camera, *true.shape)
-                seen = np.nan_to_num(lens.nearest(np.float32(true))).astype(true.dtype)
+                seen = np.nan_to_num(lens.apply_nearest(np.float32(true))).astype(true.dtype)
                 labels, true = (np.where(lens.valid, one, 0) for one in (labels, seen))
         yield labels, true
 

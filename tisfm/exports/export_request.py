@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.camera import Camera
-from tisfm.camera_file import NAME as CAMERA_FILE
+from tisfm.camera_file import FILE_NAME as CAMERA_FILE
 from tisfm.camera_file import read_camera, read_camera_record
 from tisfm.errors import InputError, OutOfRangeError
 from tisfm.folders.result_folder import make_subfolder

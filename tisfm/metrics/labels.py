@@ -226,9 +226,8 @@ def _overlaps(
 
 
 def _check_labels(values: object, name: str) -> NDArray:
-    array = check_unmasked(
-        values, name, advice=f"fill them first, for instance by {name}.filled(0)"
-    )  # type: ignore[arg-type]
+    advice = f"fill them first, for instance by {name}.filled(0)"
+    array = check_unmasked(values, name, advice=advice)  # type: ignore[arg-type]
     if array.dtype.kind not in "biu":
         raise InputTypeError(f"{name} is of type {array.dtype}: expected whole numbers")
     if array.ndim != 2:

@@ -269,6 +269,6 @@ def _fields(
         motions=motions,
         twists=scaled_twists,
         focal=camera.focal,
-        by_pixel=runtime.on_gpu(),
+        by_pixel=runtime.runs_on_gpu(),
     )
     return flow, rho

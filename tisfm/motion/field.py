@@ -64,6 +64,6 @@ def _read_out(rho: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     y_hat = ((np.arange(height) - cy) / camera.focal).astype(np.float32)
     flow, inverse_depth = (aligned_empty((*n, height, width)) for n in ((2,), ()))
     motion_fields(
-        rho, x_hat, y_hat, flow, inverse_depth, focal=camera.focal, by_pixel=runtime.on_gpu()
+        rho, x_hat, y_hat, flow, inverse_depth, focal=camera.focal, by_pixel=runtime.runs_on_gpu()
     )
     return flow, inverse_depth

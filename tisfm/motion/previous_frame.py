@@ -22,7 +22,7 @@ from tisfm.solver.image_pyramid import MIN_PARALLEL_PIXELS, ImagePyramid
 from tisfm.solver.sampling import FAR_FLOW, spline_taps
 from tisfm.solver.three_frames import ThreeFrameData
 from tisfm.solver.unknowns import Unknowns
-from tisfm.threads import start_beside
+from tisfm.threads import start_in_second_thread
 from tisfm.visibility.occlusion import occlusion, residual_of
 
 MIN_COUNT = 1e-4  # pixels: smallest number in a window, as a divisor
@@ -67,7 +67,7 @@ class PreviousPair:
         """
         flow = np.where(self.hidden, np.float32(FAR_FLOW), self.flow)
         sums = aligned_empty((*self.hidden.shape, 4))
-        splat(flow, np.zeros(self.hidden.shape, np.float32), sums, any_order=runtime.on_gpu())
+        splat(flow, np.zeros(self.hidden.shape, np.float32), sums, any_order=runtime.runs_on_gpu())
         count, _, *displacements = cv2.split(sums)
         is_visible = count > PREVIOUS.min_arrivals
         scale = np.where(
@@ -94,7 +94,9 @@ class PreviousFrame:
         # The estimation of coarse levels leaves threads free.
         is_parallel = runtime.threads() > 1 and frame.size >= MIN_PARALLEL_PIXELS
         self._taps = (
-            start_beside(spline_taps, frame) if is_parallel else partial(spline_taps, frame)
+            start_in_second_thread(spline_taps, frame)
+            if is_parallel
+            else partial(spline_taps, frame)
         )
 
     def joint_data_term(self, unknowns: Unknowns, data_term: DataTerm) -> ThreeFrameData | None:

@@ -12,7 +12,7 @@ from tisfm.motion.problems import pyramid_of
 from tisfm.motion.settings import EGOMOTION
 from tisfm.rigid import KnownPose, rigid_motion, rigid_twist
 from tisfm.settings import Settings
-from tisfm.shutter import UnrolledPixels, interpolation_nodes
+from tisfm.shutter import GlobalShutterMap, interpolation_nodes
 
 # Statuses of an estimate whose motion is good enough to correct the frames.
 MOTION_STATUSES = ("converged", "iteration_limit", "uncertain", "pure_rotation", "little_parallax")
@@ -59,7 +59,7 @@ def global_shutter_pair(
         ignored = [~map_.valid for map_ in maps]
         if valid is not None:
             for mask, map_, pixels in zip(ignored, maps, valid, strict=True):
-                mask |= map_.nearest((~pixels).astype(np.float32)) > 0
+                mask |= map_.apply_nearest((~pixels).astype(np.float32)) > 0
         pair = GlobalShutterPair(
             grey0=maps[0].apply(grey0),
             grey1=maps[1].apply(grey1),
@@ -71,7 +71,7 @@ def global_shutter_pair(
 
 def _global_shutter_maps(
     estimate: Estimate, camera: Camera, pose: KnownPose | None
-) -> tuple[UnrolledPixels, UnrolledPixels] | None:
+) -> tuple[GlobalShutterMap, GlobalShutterMap] | None:
     """Return the maps from global-shutter frames to both given frames; None without a motion."""
     shape = estimate.inverse_depth.shape
     if estimate.status not in MOTION_STATUSES or estimate.motions is None:
@@ -87,7 +87,7 @@ def _global_shutter_maps(
         _depth_of_frame1(inverse_depth, twist, camera),
     ]
     map0, map1 = (
-        UnrolledPixels(camera, camera.readout or 0.0, twist, depth, shape) for depth in depths
+        GlobalShutterMap(camera, camera.readout or 0.0, twist, depth, shape) for depth in depths
     )
     return (map0, map1) if map0.valid.any() and map1.valid.any() else None
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from tisfm import runtime
 from tisfm.motion.settings import SPARSE
-from tisfm.threads import start_beside
+from tisfm.threads import start_in_second_thread
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +52,7 @@ def sparse_matches(
     if not high > low:
         return no_matches
     images = [np.clip((frame - low) * (255 / (high - low)), 0, 255) for frame in (frame0, frame1)]
-    wait_for_second = start_beside(detect_features, images[1]) if runtime.threads() > 1 else None
+    wait_for_second = start_in_second_thread(detect_features, images[1]) if runtime.threads() > 1 else None
     first = detect_features(images[0])
     second = wait_for_second() if wait_for_second is not None else detect_features(images[1])
     if valid is not None:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.camera_file import NAME as CAMERA
+from tisfm.camera_file import FILE_NAME as CAMERA
 from tisfm.camera_file import write_camera
 from tisfm.errors import InputError
 from tisfm.focal_guess import GuessedFocalWarning

@@ -7,7 +7,7 @@ from itertools import pairwise
 from typing import Any, get_args
 
 from tisfm.settings import Preset, Settings
-from tisfm.status import UNKNOWN, Status
+from tisfm.status import UNKNOWN_STATUS_ADVICE, Status
 
 MEANINGS = {
     "converged": "The iterations converged.",
@@ -76,7 +76,7 @@ def count_statuses(
         result.append(
             StatusCount(
                 code=code,
-                meaning=meanings.get(code, UNKNOWN),
+                meaning=meanings.get(code, UNKNOWN_STATUS_ADVICE),
                 advice=shorten(message),
                 count=count,
                 names="all"

@@ -37,7 +37,7 @@ from tisfm.settings import Settings
 from tisfm.show.stereo import DISPARITY, check_disparity, check_screen
 from tisfm.sources import FramePair, FrameSource, Source
 from tisfm.threads import usable_cores
-from tisfm.window import Window, WindowSize, window_of
+from tisfm.window import Window, WindowSize, make_window
 
 T = TypeVar("T")
 Tell = Callable[[str], None]
@@ -109,7 +109,7 @@ class SequenceRun:
                 f"--{'disparity' if self.screen is None else 'screen'} is only for anaglyphs: add "
                 "anaglyph to --outputs, or leave it out"
             )
-        window = window_of(self.window, self.settings)
+        window = make_window(self.window, self.settings)
         if window is not None and self.resume and "npz" not in self.outputs:
             raise InputError(
                 "with a window of 3, --resume needs the .npz of the previous pair: add npz to "

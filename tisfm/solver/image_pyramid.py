@@ -13,7 +13,7 @@ from tisfm.camera import Camera
 from tisfm.solver.pixel_masks import PixelMasks
 from tisfm.solver.sampling import spline_taps
 from tisfm.solver.smoothness import mean_step
-from tisfm.threads import start_beside
+from tisfm.threads import start_in_second_thread
 
 COARSEST_FRAME_SIDE = 12  # px: the shorter side of the coarsest frames is at least as long
 MIN_PARALLEL_PIXELS = 1 << 16  # pixels of the smallest frame for which a second thread saves time
@@ -55,14 +55,14 @@ class ImagePyramid:
         is_parallel = runtime.threads() > 1 and grey0.size >= MIN_PARALLEL_PIXELS
         if is_parallel:
             # OpenCV's filters and kernels on coarse levels use one thread each.
-            wait_for_frames1 = start_beside(build_frames, grey1)
+            wait_for_frames1 = start_in_second_thread(build_frames, grey1)
             self.frames0, self.frames1 = build_frames(grey0), wait_for_frames1()
         else:
             self.frames0, self.frames1 = build_frames(grey0), build_frames(grey1)
         self._spline1 = [self._spline(level) for level in range(count)]
         if is_parallel:
             for level in reversed(range(self.last, count)):  # the coarsest level is needed first
-                self._spline1[level] = start_beside(spline_taps, self.frames1[level])
+                self._spline1[level] = start_in_second_thread(spline_taps, self.frames1[level])
         self.masks: PixelMasks | None = None  # the used pixels; None if all are used
         if valid is not None:
             self.masks = PixelMasks(

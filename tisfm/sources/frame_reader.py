@@ -53,7 +53,7 @@ class SourceFrame:
     labels: NDArray[np.uint8] | None = None
     # Whether the values of a float frame may be from 0 to 1, to be stretched to 0 to 255. False
     # once a frame of the source had larger values: then all of its frames are on the 8-bit scale.
-    stretch: bool = True
+    scales_unit_range: bool = True
     # height and width before cropping and shrinking, px; None if the frame is
     # unchanged
     full_shape: tuple[int, int] | None = None

@@ -28,7 +28,7 @@ class FramePair:
     pose: npt.ArrayLike | None = None
     # Whether the values of float frames may be from 0 to 1, to be stretched to 0 to 255. False once
     # a frame of the source had larger values: then all of its frames are on the 8-bit scale.
-    stretch: bool = True
+    scales_unit_range: bool = True
     # height and width before cropping and shrinking, px; None if the frames are
     # unchanged
     full_shape: tuple[int, int] | None = None
@@ -62,11 +62,18 @@ class FramePair:
             camera = replace(camera, readout=camera.readout / self.interval)
         ignored = self.ignored0, self.ignored1
         work: Callable[..., Interpretation] = interpret
-        if not self.stretch or any(part is not None for part in ignored):
-            work = partial(interpret_pair, stretch=self.stretch, ignored=ignored)
+        if not self.scales_unit_range or any(part is not None for part in ignored):
+            work = partial(
+                interpret_pair, scales_unit_range=self.scales_unit_range, ignored=ignored
+            )
         if window is not None:
             window.begin(self.interval)
-            work = partial(interpret_pair, stretch=self.stretch, ignored=ignored, window=window)
+            work = partial(
+                interpret_pair,
+                scales_unit_range=self.scales_unit_range,
+                ignored=ignored,
+                window=window,
+            )
         try:
             return work(self.frame0, self.frame1, camera=camera, settings=settings, pose=self.pose)
         except (TypeError, ValueError) as error:
@@ -75,17 +82,17 @@ class FramePair:
 
     def keep(self, window: Window, result: Interpretation, *, camera: Camera | None) -> None:
         """Store a result of `interpret` in the window, as `interpret` with a window does."""
-        from tisfm.pair import keep_pair
+        from tisfm.pair import store_pair
 
         window.begin(self.interval)
-        keep_pair(
+        store_pair(
             window,
             result,
             self.frame0,
             self.frame1,
             camera=camera,
             ignored=(self.ignored0, self.ignored1),
-            stretch=self.stretch,
+            scales_unit_range=self.scales_unit_range,
         )
 
     @property

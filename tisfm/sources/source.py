@@ -221,7 +221,7 @@ class FrameSource:
                         frame0=before.image,
                         name1=frame.name,
                         frame1=frame.image,
-                        stretch=frame.stretch,
+                        scales_unit_range=frame.scales_unit_range,
                         full_shape=frame.full_shape,
                         times=times,
                         ignored0=before.ignored,
@@ -253,7 +253,7 @@ class FrameSource:
         self.skipped = []
         prepared = self._prepare_frames()
         ahead = all(one is None or one.ahead for one in (self._reader, self._masks, self._labels))
-        stretch = True
+        scales_unit_range = True
         with closing(read_ahead(prepared) if ahead else prepared) as frames:
             for frame in frames:
                 if isinstance(frame, BadFrame):
@@ -261,8 +261,8 @@ class FrameSource:
                         raise frame.error
                     self.skipped.append((frame.index, str(frame.error)))
                     continue
-                stretch = stretch and in_unit_range(frame.image)
-                yield replace(frame, stretch=stretch)
+                scales_unit_range = scales_unit_range and in_unit_range(frame.image)
+                yield replace(frame, scales_unit_range=scales_unit_range)
 
     def camera_after(
         self,

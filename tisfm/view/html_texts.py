@@ -13,7 +13,7 @@ from markupsafe import Markup
 from tisfm.errors import InputTypeError
 from tisfm.results.frame import PixelReading, ResultFrame
 from tisfm.results.result_frames import ResultFrames
-from tisfm.status import STATUSES, UNKNOWN
+from tisfm.status import STATUSES, UNKNOWN_STATUS_ADVICE
 from tisfm.templates import macro
 from tisfm.view.colors import Legend
 
@@ -78,7 +78,7 @@ def status_html(
         status = frame.status
         lines.append(str(status))
         if status not in STATUSES:
-            lines.append(UNKNOWN)
+            lines.append(UNKNOWN_STATUS_ADVICE)
         if str(status) != "converged" and status.message:
             lines.append(status.message)
         if result.has_one_scale and result.piece[number] < 0:

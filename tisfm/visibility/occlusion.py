@@ -38,7 +38,7 @@ def occlusion(
     # ((h + 3)·w, 4) float32: `tisfm.solver.sampling.spline_taps` of frame 1, if already computed
     spline1: np.ndarray | None = None,
     # (H, W) bool: `leaves_image` of the flow, if already computed
-    leaves: np.ndarray | None = None,
+    is_leaving: np.ndarray | None = None,
     # (H, W) float32: `residual_of` the flow or of nearly the same flow, if already computed
     residual: np.ndarray | None = None,
 ) -> np.ndarray:  # (H, W) bool
@@ -56,12 +56,14 @@ def occlusion(
     PAMI 34 (2012), 1744. They count the pixels that move to each position; here the residuals also
     decide which of them are hidden.
     """
-    any_order = runtime.on_gpu()  # first: it starts Taichi, which must precede import of kernels
+    any_order = (
+        runtime.runs_on_gpu()
+    )  # first: it starts Taichi, which must precede import of kernels
     from tisfm.kernels.data.forward_splatting import hidden_pixels, splat
     from tisfm.kernels.layout.lanes import aligned_empty
 
-    if leaves is None:
-        leaves = leaves_image(flow)
+    if is_leaving is None:
+        is_leaving = leaves_image(flow)
     flow = _finite(flow)
     if residual is None:
         residual = residual_of(frame0, frame1, flow, settings, factor=factor, spline1=spline1)
@@ -71,7 +73,7 @@ def occlusion(
     hidden_pixels(
         flow, residual, sums, hidden, density=MAX_DENSITY, flow_difference=MIN_FLOW_DIFFERENCE
     )
-    return hidden.astype(bool) | leaves
+    return hidden.astype(bool) | is_leaving
 
 
 def occlusion_in(
@@ -79,7 +81,7 @@ def occlusion_in(
     flow: np.ndarray,
     settings: Settings,
     *,
-    leaves: np.ndarray | None = None,
+    is_leaving: np.ndarray | None = None,
     level: int = 0,
     residual: np.ndarray | None = None,
 ) -> np.ndarray:
@@ -99,7 +101,7 @@ def occlusion_in(
         settings,
         factor=2**level,
         spline1=pyramid.spline1(level),
-        leaves=leaves,
+        is_leaving=is_leaving,
         residual=residual,
     )
     return hidden if pyramid.masks is None else hidden | pyramid.masks.ignored_pixels(flow)

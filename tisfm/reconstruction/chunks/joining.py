@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tisfm.camera_file import NAME as CAMERA
+from tisfm.camera_file import FILE_NAME as CAMERA
 from tisfm.errors import InputError
 from tisfm.formats.atomic import link_or_copy
 from tisfm.formats.npz import NpzFile, write_npz

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.camera_file import NAME, read_camera, read_camera_record, write_camera
+from tisfm.camera_file import FILE_NAME, read_camera, read_camera_record, write_camera
 from tisfm.reconstruction.chunks.chunk import Chunk, make_chunk
 from tisfm.reconstruction.chunks.settings import CHUNKING
 from tisfm.reconstruction.result.reconstruction import Reconstruction
@@ -65,8 +65,8 @@ def shared_camera(
     if camera.readout is None:  # unknown: chunks must not search again
         camera = replace(camera, readout=0.0)
     shape = record["height"], record["width"]
-    write_camera(folder / NAME, camera, shape, about=record)
-    return SharedCamera(camera=folder / NAME, result=best)
+    write_camera(folder / FILE_NAME, camera, shape, about=record)
+    return SharedCamera(camera=folder / FILE_NAME, result=best)
 
 
 def _relative_deviation(result: Reconstruction) -> float:

@@ -12,11 +12,11 @@ from tisfm.errors import InputError
 from tisfm.formats import atomic_write
 from tisfm.formats.atomic import copy_file
 from tisfm.formats.npz import write_npy
-from tisfm.frames import check_frame, eight_bit, grey_pair
+from tisfm.frames import check_frame, grey_pair, to_eight_bit
 from tisfm.lens import Undistortion
 from tisfm.reconstruction.result.folder import read_labels, read_picture, write_labels
 from tisfm.resampling import Resampling
-from tisfm.shutter import Rolling, UnrolledFrame
+from tisfm.shutter import GlobalShutterFrameMap, RollingShutterMotion
 from tisfm.solver.pixel_masks import fill_ignored
 from tisfm.sources.frame_reader import SourceFrame
 
@@ -73,8 +73,8 @@ class PreparedFrames:
         number = self.count
         self._states[number] = FrameState()
         image = check_frame(frame.image, frame.name)
-        grey, _ = grey_pair(image, image, stretch=frame.stretch)
-        picture = eight_bit(image, image, stretch=frame.stretch)
+        grey, _ = grey_pair(image, image, scales_unit_range=frame.scales_unit_range)
+        picture = to_eight_bit(image, image, scales_unit_range=frame.scales_unit_range)
         ignored, labels = frame.ignored, frame.labels
         if ignored is not None and ignored.any():
             grey = fill_ignored(grey, ignored)
@@ -83,7 +83,7 @@ class PreparedFrames:
                 self._lens = Undistortion(self._source_camera, *grey.shape)
             grey, picture = self._lens.apply(grey), self._lens.apply(picture)
             if ignored is not None:
-                ignored = self._lens.nearest(ignored.astype(np.float32)) > 0
+                ignored = self._lens.apply_nearest(ignored.astype(np.float32)) > 0
             if labels is not None and not self._are_labels_prepared:
                 labels = _resample_labels(labels, self._lens)
             outside = ~self._lens.valid
@@ -102,7 +102,8 @@ class PreparedFrames:
     def correct(
         self,
         camera: Camera,  # camera of the prepared frames, with the distortion that they still have
-        rolling: Rolling | None = None,  # the motion of frames while their rows were read
+        rolling: RollingShutterMotion
+        | None = None,  # the motion of frames while their rows were read
     ) -> None:
         """Remove the distortion and then the readout effect that were estimated after reading.
 
@@ -115,10 +116,10 @@ class PreparedFrames:
                 self._resample(number, lens)
         if rolling is not None:
             for number in sorted(rolling.rates):
-                self._resample(number, UnrolledFrame(rolling, number, self.shape))
+                self._resample(number, GlobalShutterFrameMap(rolling, number, self.shape))
             self.camera = replace(self.camera, readout=0.0)
 
-    def correct_provisionally(self, rolling: Rolling | None) -> None:
+    def correct_provisionally(self, rolling: RollingShutterMotion | None) -> None:
         """Remove the readout effect of a first estimate; provisional corrections are undone first.
 
         With None, they are undone only. The readout time of `camera` stays.
@@ -139,7 +140,7 @@ class PreparedFrames:
                 if path.exists():
                     copy_file(path, _uncorrected_file(path))
             self._change_state(number, is_provisional=True)
-            self._resample(number, UnrolledFrame(rolling, number, self.shape))
+            self._resample(number, GlobalShutterFrameMap(rolling, number, self.shape))
 
     def provisional_frames(self) -> list[int]:
         """Return the frames whose correction may be replaced, in order."""
@@ -170,7 +171,7 @@ class PreparedFrames:
         ignored = ~resampling.valid
         before = self.ignored(number)
         if before is not None:
-            ignored |= resampling.nearest(before.astype(np.float32)) > 0
+            ignored |= resampling.apply_nearest(before.astype(np.float32)) > 0
         grey = self.grey(number)
         self._cached_frames.pop(number)
         write_npy(self._grey_path(number), resampling.apply(grey))
@@ -268,7 +269,7 @@ class PreparedFrames:
 
 def _resample_labels(labels: np.ndarray, resampling: Resampling) -> np.ndarray:
     """Return labels, (H, W) uint8, resampled with a map; 0 outside the frame."""
-    return np.nan_to_num(resampling.nearest(labels.astype(np.float32))).astype(np.uint8)
+    return np.nan_to_num(resampling.apply_nearest(labels.astype(np.float32))).astype(np.uint8)
 
 
 def _uncorrected_file(path: Path) -> Path:

@@ -29,7 +29,7 @@ from tisfm.reconstruction.submaps.settings import SUBMAPS
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracker, SequenceTracks
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
-from tisfm.shutter import Rolling
+from tisfm.shutter import RollingShutterMotion
 from tisfm.status import Status
 
 
@@ -48,7 +48,7 @@ class CameraPath:
     focal: FocalEstimate | None = None
     # With a rolling shutter: the motion during readout. Poses, points and tracks are those of
     # middle rows.
-    rolling: Rolling | None = None
+    rolling: RollingShutterMotion | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,7 +172,7 @@ class PathSolver:
 
     def _correct_readout(
         self, solution: PathSolution, instants: np.ndarray
-    ) -> tuple[PathSolution, Rolling | None]:
+    ) -> tuple[PathSolution, RollingShutterMotion | None]:
         """Return the path of middle rows, and the motion of frames while their rows were read."""
         pinhole = solution.camera.pinhole()
         corrected, rolling = find_corrected_path(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.camera_file import NAME as CAMERA
+from tisfm.camera_file import FILE_NAME as CAMERA
 from tisfm.camera_file import read_camera
 from tisfm.errors import InputError
 from tisfm.reconstruction.result.folder import MASKS, PICTURES, RECORD, mask_path, read_record

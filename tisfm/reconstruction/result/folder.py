@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.camera_file import NAME as CAMERA
+from tisfm.camera_file import FILE_NAME as CAMERA
 from tisfm.errors import InputError
 from tisfm.folders.files import REPORT, TIMINGS
 from tisfm.folders.result_folder import make_subfolder

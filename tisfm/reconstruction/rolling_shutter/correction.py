@@ -18,7 +18,7 @@ from tisfm.reconstruction.rolling_shutter.settings import ROLLING_SHUTTER
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.triangulation import points_of_tracks
 from tisfm.reconstruction.tracks.views import View
-from tisfm.shutter import Rolling, motion_rates, points_at_middle_row
+from tisfm.shutter import RollingShutterMotion, motion_rates, points_at_middle_row
 
 # Intervals between frames: the readout of a frame ends before the next frame begins.
 MAX_READOUT = 1.0
@@ -36,7 +36,7 @@ class ReadoutCorrection:
         pieces: Sequence[Piece],  # each frame is in at most one piece
         # (N,) array, or mapping: time of each frame, in intervals between frames of the source
         instants: np.ndarray | Mapping[int, float],
-        # readout, deviation: as in `Rolling`
+        # readout, deviation: as in `RollingShutterMotion`
         readout: float,
         deviation: float,
         camera: Camera,  # pinhole camera
@@ -52,7 +52,7 @@ class ReadoutCorrection:
                 if is_known.any():
                     rates[frame], inverse_depth[frame] = rate, 1 / float(np.median(depth[is_known]))
                     self._depths[frame] = depth, is_known
-        self.rolling = Rolling(
+        self.rolling = RollingShutterMotion(
             camera=camera,
             readout=readout,
             deviation=deviation,
@@ -127,7 +127,7 @@ def find_corrected_path(
     instants: np.ndarray,
     readout: float | None,  # the readout time, if it is known
     shape: tuple[int, int],  # height and width of the frames, px
-) -> tuple[PathSolution, Rolling | None]:
+) -> tuple[PathSolution, RollingShutterMotion | None]:
     """Return the path of the middle rows, and the motion of frames while their rows were read.
 
     If no readout time is significant, the given path and None are returned.

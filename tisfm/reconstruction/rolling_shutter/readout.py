@@ -15,7 +15,7 @@ from tisfm.camera import Camera
 from tisfm.reconstruction.geometry.rays import nearest_point_equations, unit_vectors
 from tisfm.reconstruction.rolling_shutter.settings import ROLLING_SHUTTER
 from tisfm.reconstruction.tracks.views import View
-from tisfm.shutter import moved_by_twist
+from tisfm.shutter import move_by_twist
 
 # Damping of the system that gives the standard deviation, as a share of the diagonal. Larger
 # damping would act as a prior, and hide that the focal length or poses explain the same effect. Set
@@ -275,7 +275,7 @@ class _Problem:
     def _apply_step(self, steps: np.ndarray, point_steps: np.ndarray) -> None:
         for k, step in enumerate(steps):
             columns = np.vstack([self._rotations[k].T, self._translations[k]])
-            moved = moved_by_twist(columns, np.r_[np.zeros(3), step[3:]], np.ones(4))
+            moved = move_by_twist(columns, np.r_[np.zeros(3), step[3:]], np.ones(4))
             self._rotations[k], self._translations[k] = moved[:3].T, moved[3] + step[:3]
         self._points += point_steps
 

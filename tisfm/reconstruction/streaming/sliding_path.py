@@ -17,7 +17,7 @@ from tisfm.reconstruction.rolling_shutter.settings import ROLLING_SHUTTER
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracks
 from tisfm.reconstruction.tracks.tracker import Observations, Tracker
 from tisfm.reconstruction.tracks.views import View, ViewSelection
-from tisfm.shutter import Rolling, frame_instants
+from tisfm.shutter import RollingShutterMotion, frame_instants
 from tisfm.status import Status
 
 # Values without a stated source were set by hand.
@@ -37,7 +37,7 @@ class SlidingSolution:
     lost: dict[int, Status]  # reason for each frame after the last fixed one without a pose
     # With a rolling shutter: the motion of frames that are not fixed, while their rows were read.
     # Poses and points are those of middle rows then.
-    rolling: Rolling | None = None
+    rolling: RollingShutterMotion | None = None
 
 
 class RecentObservations(Sequence[Observations]):
@@ -285,7 +285,7 @@ class SlidingPath:
         self.readout = 0.0 if rolling is None else rolling.readout
         self.readout_deviation = 0.0 if rolling is None else rolling.deviation
 
-    def _unroll(self, path: SlidingSolution) -> Rolling:
+    def _unroll(self, path: SlidingSolution) -> RollingShutterMotion:
         """Correct the views and tracks that are not fixed for the readout, with the path's motion.
 
         Returns the motion of their frames while the rows were read.
