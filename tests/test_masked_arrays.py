@@ -130,7 +130,9 @@ def test_rows_may_be_masked(rows):
     with pytest.raises(ValueError, match="depth has 1 of 48 values masked"):
         metrics.depth_errors(rows(hidden), MAP)
     plain = list(MAP)
-    with pytest.raises(ValueError, match="frame1 has 1 of 48 values masked: every pixel of a frame"):
+    with pytest.raises(
+        ValueError, match="frame1 has 1 of 48 values masked: every pixel of a frame"
+    ):
         tisfm.interpret(plain, rows(hidden))
     with pytest.raises(ValueError, match="frame_000001 has 1 of 48 values masked"):
         next(iter(tisfm.interpret_sequence([plain, rows(hidden)])))

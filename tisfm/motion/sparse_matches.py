@@ -52,7 +52,9 @@ def sparse_matches(
     if not high > low:
         return no_matches
     images = [np.clip((frame - low) * (255 / (high - low)), 0, 255) for frame in (frame0, frame1)]
-    wait_for_second = start_in_second_thread(detect_features, images[1]) if runtime.threads() > 1 else None
+    wait_for_second = (
+        start_in_second_thread(detect_features, images[1]) if runtime.threads() > 1 else None
+    )
     first = detect_features(images[0])
     second = wait_for_second() if wait_for_second is not None else detect_features(images[1])
     if valid is not None:
