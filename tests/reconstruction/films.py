@@ -52,7 +52,7 @@ def board_film(count=10, height=120, width=160, *, with_board=True):
         )
         objects = [*room, board] if with_board else room
         scene = Scene(objects=objects, camera=camera, height=height, width=width)
-        frame, far, labels = scene.seen_with_labels(pose, samples=2)
+        frame, far, labels = scene.render_view_with_labels(pose, samples=2)
         frames.append(expose(frame, random, 1.5, 0.0, "uint8"))
         depth.append(far)
         seen.append(labels >= len(room))

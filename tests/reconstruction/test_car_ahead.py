@@ -39,7 +39,7 @@ def labelled(speed):
     for number in range(FRAMES):
         pose = np.eye(4)
         pose[2, 3] = OURS * number
-        frame, _, labels = street(number, speed).seen_with_labels(pose, samples=1)
+        frame, _, labels = street(number, speed).render_view_with_labels(pose, samples=1)
         finder.add(np.rint(frame).astype(np.uint8))
         poses.append(pose)
         true.append(labels)

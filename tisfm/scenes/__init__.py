@@ -1,14 +1,14 @@
 """Synthetic frame pairs with exact truth: textured planes and boxes in rigid motion, ray-cast.
 
-Camera axes are X right, Y down, Z forward, those of frame 0; lengths are in any one unit. A motion
-is a twist (T, ω) per frame: a point P has velocity T + ω × P (eq. 1-2 of the paper) and moves, from
-one frame to the next, by the exact exponential of the twist, P1 = R P0 + t. A camera that moves by
-(V, Ω) in its own axes sees a static scene with T = -V, ω = -Ω.
+Axes are the camera axes of frame 0: X right, Y down, Z forward. All lengths are in one unit, which
+is free to choose. A motion is a twist (T, ω) per frame: a point P has velocity T + ω × P (eq. 1-2
+of the paper) and moves, from one frame to the next, by the exact exponential of the twist, P1 = R
+P0 + t. A camera that moves by (V, Ω) in its own axes sees a static scene with T = -V, ω = -Ω.
 
 Grey levels are painted on the surfaces, so brightness constancy holds exactly up to anti-aliasing
-and quantisation. The paint is band-limited and measured in scene units: the image does not depend
-on the size at which it is rendered, except that waves too short for the pixels fade out. The
-predefined scenes add shorter waves for larger images, unless `detail` states their number.
+and quantisation. Textures are band-limited, with wavelengths in scene units: images of different
+sizes show the same texture, but waves that are too short for the pixels fade out. The predefined
+scenes add octaves of shorter waves for larger images, unless `detail` gives their number.
 
 May import: of the top level `camera`, `checks` and `rigid`.
 """

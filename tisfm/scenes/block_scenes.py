@@ -1,4 +1,4 @@
-"""Predefined scenes: blocks in a room, seen by a camera that looks down on the floor."""
+"""Predefined scenes: blocks in a room, and a camera that looks down on the floor."""
 
 import math
 
@@ -14,7 +14,8 @@ from .geometry import Box, Plane
 from .render import Scene, SyntheticPair
 from .texture import Patch, Texture
 
-# (V, Ω) of the camera in its own axes. The rotation adds to the sideways flow.
+# (V, Ω) of the camera in its own axes, length/frame and rad/frame. The rotation adds to the
+# sideways flow.
 _STATIC_MOTIONS = {
     "sideways": (0.03, 0.0, 0.0, 0.0, 0.0, 0.0),
     "forward": (0.0, 0.0, 0.1, 0.0, 0.0, 0.0),
@@ -23,15 +24,17 @@ _STATIC_MOTIONS = {
 }
 STATIC_KINDS = tuple(_STATIC_MOTIONS)
 
-# The camera looks down on the floor by 25°. Axes of the room in columns: right, down, ahead.
+# The camera looks down on the floor by 25°. The columns are the axes of the room, right, down and
+# ahead, in camera axes.
 _COS, _SIN = math.cos(math.radians(25)), math.sin(math.radians(25))
-_ROOM = np.array([[1.0, 0.0, 0.0], [0.0, _COS, -_SIN], [0.0, _SIN, _COS]])
-_EYE_HEIGHT = 2.6  # of the camera above the floor, in the unit of the scene
-_WALL_DISTANCE = 9.0  # from the camera, in the unit of the scene
-_FINEST_WAVE = 4.0  # px: finest wave of a texture without detail, at the reference width
-_REFERENCE_WIDTH = 320  # px: width of an image
+_ROOM_AXES = np.array([[1.0, 0.0, 0.0], [0.0, _COS, -_SIN], [0.0, _SIN, _COS]])
+_CAMERA_HEIGHT = 2.6  # height of the camera above the floor, in the unit of the scene
+_WALL_DISTANCE = 9.0  # distance of the wall from the camera, in the unit of the scene
+_MIN_WAVELENGTH = 4.0  # px: shortest wave of a texture without detail, in an image of this width:
+_REFERENCE_WIDTH = 320  # px
 
-# A block: position on the floor (right, ahead), edge lengths, rotation in degrees.
+# A block: position on the floor (right, ahead) and edge lengths, in the unit of the scene; rotation
+# about the vertical in degrees.
 _Block = tuple[tuple[float, float], tuple[float, float, float], float]
 _TWO_BLOCKS: list[_Block] = [
     ((-0.62, 4.7), (1.5, 1.3, 1.2), 28),
@@ -58,9 +61,10 @@ def two_blocks(
 ) -> SyntheticPair:
     """Render two blocks that move on their own, each in translation, before a moving camera.
 
-    After the Marbled-block sequence of the paper's section 6: the larger block moves in depth and
-    to the left, the other forward and to the left, along the floor they stand on. At the default
-    size displacements are about 1 to 4 px; they scale with the size, as do the shapes.
+    The scene imitates the Marbled-block sequence of the paper's section 6. Both blocks move along
+    the floor and to the left, the larger one away from the camera, the smaller one towards it. At
+    the default size displacements are about 1 to 4 px. Displacements and shapes scale with the
+    size.
 
     Parameters
     ----------
@@ -71,9 +75,10 @@ def two_blocks(
     focal : float, optional
         Focal length, px; by default the width, so that every size shows the same view.
     detail : int, optional
-        Number of fine octaves added to the textures. At the default focal length the finest wave
-        is width/80 px long without them, and each halves it. By default none up to 320 px of width
-        or so, then as many as keep the finest wave at about 3 to 5 px.
+        Number of fine octaves added to the textures. At the default focal length the shortest wave
+        is width/80 px long without fine octaves, and each of them halves this length. By default
+        the shortest wave is about 3 to 5 px long if the width is more than about 320 px; smaller
+        images have no fine octaves.
     camera_motion : array_like, shape (6,)
         (V, Ω) of the camera in its own axes, length/frame and rad/frame. The blocks are at depths
         of about 4.6 and 4, the background at about 9.
@@ -85,7 +90,7 @@ def two_blocks(
     Returns
     -------
     SyntheticPair
-        Labels are 0 for the background, 1 for the floor, 2 for the larger block, 3 for the other.
+        Labels are 0 for the background, 1 for the floor, 2 for the larger block, 3 for the smaller.
 
     Raises
     ------
@@ -100,10 +105,12 @@ def two_blocks(
     ((48, 64), (48, 64, 2), 3)
     """
     if block_motions is None:
-        along_floor = _ROOM @ np.array([[-0.014, 0.0, 0.04], [-0.014, 0.0, -0.04]]).T
+        along_floor = _ROOM_AXES @ np.array([[-0.014, 0.0, 0.04], [-0.014, 0.0, -0.04]]).T
         block_motions = np.hstack([along_floor.T, np.zeros((2, 3))])
     block_twists = check_finite(block_motions, (2, 6), "block_motions")
-    scene = _room(_TWO_BLOCKS, block_twists, camera_motion, height, width, seed, focal, detail)
+    scene = _block_scene(
+        _TWO_BLOCKS, block_twists, camera_motion, height, width, seed, focal, detail
+    )
     return scene.render(samples=samples, dtype=dtype)
 
 
@@ -121,7 +128,8 @@ def three_blocks(
 ) -> SyntheticPair:
     """Render three blocks that move on their own, each in translation, before a moving camera.
 
-    One goes away and to the right, one to the left and down, the small one in front comes closer.
+    One block moves away and to the right, one to the left and down. The small block in front comes
+    closer.
 
     Parameters
     ----------
@@ -152,7 +160,9 @@ def three_blocks(
         block_motions = np.zeros((3, 6))
         block_motions[:, :3] = (0.02, 0.0, 0.03), (-0.03, 0.02, 0.0), (0.01, -0.01, -0.05)
     block_twists = check_finite(block_motions, (3, 6), "block_motions")
-    scene = _room(_THREE_BLOCKS, block_twists, camera_motion, height, width, seed, focal, detail)
+    scene = _block_scene(
+        _THREE_BLOCKS, block_twists, camera_motion, height, width, seed, focal, detail
+    )
     return scene.render(samples=samples, dtype=dtype)
 
 
@@ -200,7 +210,7 @@ def static_scene(
     if kind not in _STATIC_MOTIONS:
         raise InputError(f"kind is {kind!r}: expected one of {', '.join(map(repr, STATIC_KINDS))}")
     block_twists, motion = np.zeros((3, 6)), _STATIC_MOTIONS[kind]
-    scene = _room(_THREE_BLOCKS, block_twists, motion, height, width, seed, focal, detail)
+    scene = _block_scene(_THREE_BLOCKS, block_twists, motion, height, width, seed, focal, detail)
     return scene.render(samples=samples, dtype=dtype)
 
 
@@ -216,11 +226,11 @@ def bare_patches(
 ) -> SyntheticPair:
     """Render a block before a wall, both with large parts of a single grey level.
 
-    Motion is visible only around such a bare part, a case that the paper of Sekkati and Mitiche
-    leaves open (its remark (a)). One bare part lies within the texture of the wall. Another one on
+    Motion is visible only around such a bare part. The paper of Sekkati and Mitiche leaves this
+    case open (its remark (a)). One bare part is surrounded by texture of the wall. A bare part of
     the block reaches the block's right edge, and the wall behind this edge is bare, too: only a
-    step of grey separates the two. Shapes scale with the size; at the default size the parts are 70
-    to 110 px wide, and displacements are about 2 px on the wall and 4 px on the block.
+    step of grey separates the two. Shapes scale with the size; at the default size the bare parts
+    are 70 to 110 px wide, and displacements are about 2 px on the wall and 4 px on the block.
 
     Parameters
     ----------
@@ -253,9 +263,9 @@ def bare_patches(
     motion = -check_finite(camera_motion, (6,), "camera_motion")
     octaves = max(0, round(math.log2(width / _REFERENCE_WIDTH)))
 
-    def paint(depth: float, number: int, mean: float, patches: tuple[Patch, ...]) -> Texture:
+    def make_texture(depth: float, number: int, mean: float, patches: tuple[Patch, ...]) -> Texture:
         return Texture(
-            wavelength=_FINEST_WAVE * depth / _REFERENCE_WIDTH,
+            wavelength=_MIN_WAVELENGTH * depth / _REFERENCE_WIDTH,
             detail=octaves,
             mean=mean,
             contrast=50,
@@ -266,18 +276,18 @@ def bare_patches(
     in_texture = Patch(center=(-2.3, 0.1), size=(2.0, 2.6), grey=105)
     behind_block = Patch(center=(2.1, 0.1), size=(2.4, 2.8), grey=128)
     on_block = Patch(center=(0.4, 0.0), size=(1.0, 0.9), grey=175)
-    slant, _ = rigid_motion((0, 0, 0, 0, math.radians(8), 0))
+    block_axes, _ = rigid_motion((0, 0, 0, 0, math.radians(8), 0))
     wall = Plane(
-        texture=paint(8.0, 0, 110, (in_texture, behind_block)),
+        texture=make_texture(8.0, 0, 110, (in_texture, behind_block)),
         point=(0, 0, 8),
         normal=(0.1, 0.1, -1),
         motion=motion,
     )
     block = Box(
-        texture=paint(4.2, 1, 130, (on_block,)),
+        texture=make_texture(4.2, 1, 130, (on_block,)),
         center=(0.05, 0.0, 4.5),
         size=(1.4, 1.6, 0.5),
-        axes=slant,
+        axes=block_axes,
         motion=motion,
     )
     camera = Camera(focal=float(width) if focal is None else focal)
@@ -286,7 +296,7 @@ def bare_patches(
     )
 
 
-def _room(
+def _block_scene(
     blocks: list[_Block],
     block_twists: Floats,
     camera_motion: ArrayLike,
@@ -296,31 +306,41 @@ def _room(
     focal: float | None,
     detail: int | None,
 ) -> Scene:
-    """Return a scene with blocks in front of a wall; `block_twists` are in a fixed camera."""
+    """Return a scene with blocks in front of a wall.
+
+    `block_twists`, (n, 6), are the motions of the blocks as seen by a camera at rest.
+    """
     check_whole_numbers(1, height=height, width=width)
-    static = -check_finite(camera_motion, (6,), "camera_motion")
+    static_twist = -check_finite(camera_motion, (6,), "camera_motion")
     octaves = max(0, round(math.log2(width / _REFERENCE_WIDTH))) if detail is None else detail
 
-    def paint(depth: float, label: int, mean: float, contrast: float) -> Texture:
-        wavelength, number = _FINEST_WAVE * depth / _REFERENCE_WIDTH, seed + label
+    def make_texture(depth: float, label: int, mean: float, contrast: float) -> Texture:
+        wavelength, number = _MIN_WAVELENGTH * depth / _REFERENCE_WIDTH, seed + label
         return Texture(
             wavelength=wavelength, detail=octaves, mean=mean, contrast=contrast, seed=number
         )
 
     def plane(texture: Texture, point: tuple, normal: tuple) -> Plane:
-        return Plane(texture=texture, point=_ROOM @ point, normal=_ROOM @ normal, motion=static)
+        return Plane(
+            texture=texture,
+            point=_ROOM_AXES @ point,
+            normal=_ROOM_AXES @ normal,
+            motion=static_twist,
+        )
 
     objects: list[Plane | Box] = [
-        plane(paint(_WALL_DISTANCE, 0, 114, 42), (0, 0, _WALL_DISTANCE), (0, 0, -1)),
-        plane(paint(4.5, 1, 88, 42), (0, _EYE_HEIGHT, 0), (0, -1, 0)),
+        plane(make_texture(_WALL_DISTANCE, 0, 114, 42), (0, 0, _WALL_DISTANCE), (0, 0, -1)),
+        plane(make_texture(4.5, 1, 88, 42), (0, _CAMERA_HEIGHT, 0), (0, -1, 0)),
     ]
     for label, ((right, ahead), size, degrees) in enumerate(blocks, start=2):
-        center = _ROOM @ (right, _EYE_HEIGHT - size[1] / 2, ahead)
-        turn, _ = rigid_motion((0, 0, 0, 0, math.radians(degrees), 0))
-        look = paint(float(center[2]), label, 140, 52)
-        motion = static + block_twists[label - 2]
+        center = _ROOM_AXES @ (right, _CAMERA_HEIGHT - size[1] / 2, ahead)
+        rotation, _ = rigid_motion((0, 0, 0, 0, math.radians(degrees), 0))
+        texture = make_texture(float(center[2]), label, 140, 52)
+        motion = static_twist + block_twists[label - 2]
         objects.append(
-            Box(texture=look, center=center, size=size, axes=_ROOM @ turn, motion=motion)
+            Box(
+                texture=texture, center=center, size=size, axes=_ROOM_AXES @ rotation, motion=motion
+            )
         )
     camera = Camera(focal=float(width) if focal is None else focal)
     return Scene(objects=objects, camera=camera, height=height, width=width)

@@ -29,7 +29,7 @@ from .texture import Texture
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BodiesFilm(Film):
-    """Frames of moving bodies in a room at rest, with exact truth; K bodies.
+    """Frames of K moving bodies in a room at rest, with exact truth.
 
     Attributes
     ----------
@@ -59,54 +59,54 @@ class BodiesFilm(Film):
 class _Flight:
     """The path of a body: it swings along each axis of the world, and rotates steadily."""
 
-    size: tuple[float, float, float]
-    # middle, amplitude: centre and amplitude of the swing along each axis, (3,), m
-    middle: tuple[float, float, float]
+    size: tuple[float, float, float]  # edge lengths, m
+    # center, amplitude: centre and amplitude of the swing along each axis, (3,), m
+    center: tuple[float, float, float]
     amplitude: tuple[float, float, float]
     period: tuple[float, float, float]  # period of the swing along each axis, (3,), frames
     # frame in which the body passes the centre along each axis, (3,)
-    start: tuple[float, float, float]
-    spin: tuple[float, float, float]
-    mean: float
+    center_frame: tuple[float, float, float]
+    rotation_rate: tuple[float, float, float]  # (3,), rad/frame
+    mean_grey: float  # mean grey level of the texture
 
     def pose(self, number: float) -> Floats:
-        """Return the pose, body to world, (4, 4), at the number of a frame."""
-        swing = np.sin(2 * np.pi * (number - np.array(self.start)) / np.array(self.period))
-        pose = pose_matrix(np.array([0, 0, 0, *self.spin]) * number)
-        pose[:3, 3] = np.array(self.middle) + np.array(self.amplitude) * swing
+        """Return the pose, body to world, (4, 4), at a frame number; fractions are allowed."""
+        swing = np.sin(2 * np.pi * (number - np.array(self.center_frame)) / np.array(self.period))
+        pose = pose_matrix(np.array([0, 0, 0, *self.rotation_rate]) * number)
+        pose[:3, 3] = np.array(self.center) + np.array(self.amplitude) * swing
         return pose
 
 
 _FLIGHTS = (
-    # From the left to the right, and back.
+    # From the left to the right and back.
     _Flight(
         size=(0.6, 0.5, 0.4),
-        middle=(-0.1, 0.1, 2.15),
+        center=(-0.1, 0.1, 2.15),
         amplitude=(1.05, 0.08, 0.05),
         period=(130, 70, 90),
-        start=(23, 0, 10),
-        spin=(0.006, 0.03, 0.004),
-        mean=92,
+        center_frame=(23, 0, 10),
+        rotation_rate=(0.006, 0.03, 0.004),
+        mean_grey=92,
     ),
-    # From the right to the left behind the first, and back.
+    # From the right to the left and back, behind the first body.
     _Flight(
         size=(0.6, 0.5, 0.42),
-        middle=(-0.34, 0.17, 2.93),
+        center=(-0.34, 0.17, 2.93),
         amplitude=(-0.83, 0.05, 0.03),
         period=(110, 80, 60),
-        start=(22, 30, 0),
-        spin=(-0.01, -0.035, 0.006),
-        mean=168,
+        center_frame=(22, 30, 0),
+        rotation_rate=(-0.01, -0.035, 0.006),
+        mean_grey=168,
     ),
-    # Up and down before both.
+    # Up and down, in front of both.
     _Flight(
         size=(0.41, 0.4, 0.38),
-        middle=(0.38, 0.08, 1.45),
+        center=(0.38, 0.08, 1.45),
         amplitude=(0.25, 0.38, 0.05),
         period=(80, 48, 100),
-        start=(8, 11, 30),
-        spin=(0.02, 0.025, -0.012),
-        mean=132,
+        center_frame=(8, 11, 30),
+        rotation_rate=(0.02, 0.025, -0.012),
+        mean_grey=132,
     ),
 )
 
@@ -127,9 +127,9 @@ def bodies_film(
     """Render the room with rotating boxes that fly through it, along a path of the camera.
 
     The boxes have edges of about half a metre, and swing from one side of the image to the other.
-    From `bodies_path`, all are visible in the first frames; each moves by 1.5 to 9 px a frame
-    against the room at the default size; and within 40 frames the third occludes the first, which
-    occludes the second, for some frames.
+    With the poses of `bodies_path`, all boxes are visible in the first frames. At the default size
+    each box moves by 1.5 to 9 px/frame relative to the room. Within 40 frames the third box
+    occludes the first for some frames, and the first occludes the second.
 
     Parameters
     ----------
@@ -138,20 +138,20 @@ def bodies_film(
     height, width : int
         Size of the frames, px.
     bodies : int, default 3
-        Number of boxes, 0 to 3. With fewer boxes the others do not change.
+        Number of boxes, 0 to 3. The motion and texture of a box do not depend on this number.
     seed : int, default 0
         Pattern of the textures and of the noise; the paths do not depend on it.
     focal : float, optional
         Focal length, px; by default 0.6 of the width.
     textured : bool, default True
-        Whether walls and ceiling are papered with a pattern, rather than bare.
+        Whether walls and ceiling have a wallpaper with a pattern, rather than being bare.
     noise : float, default 1.5
         Standard deviation, grey levels, of the noise, independent at every pixel of every frame.
     samples : int, default 2
         Rays per pixel side, as in `Scene.render`.
     readout : float, default 0
-        As for `room_film`; the bodies move while a frame is read, too. The ground truth is that of
-        the middle row.
+        As for `room_film`; the bodies also move while a frame is read. The ground truth is the
+        truth at the readout of the middle row.
 
     Returns
     -------
@@ -177,8 +177,8 @@ def bodies_film(
         raise InputError(f"bodies is {bodies}: expected {len(_FLIGHTS)} at most")
     camera = Camera(focal=FOCAL * width if focal is None else focal)
     flights = _FLIGHTS[:bodies]
-    at_rest = room_objects(width, seed, textured=textured)
-    paints = [_paint(flight, width, seed, number) for number, flight in enumerate(flights)]
+    static_objects = room_objects(width, seed, textured=textured)
+    textures = [_body_texture(flight, width, seed, number) for number, flight in enumerate(flights)]
     body_poses = np.array(
         [[flight.pose(number) for number in range(len(path))] for flight in flights]
     ).reshape(bodies, len(path), 4, 4)
@@ -190,10 +190,10 @@ def bodies_film(
     def scene_at(frame: int, delay: float) -> Scene:
         box_poses = [flight.pose(frame + delay) for flight in flights]
         boxes = [
-            Box(texture=paint, center=pose[:3, 3], size=flight.size, axes=pose[:3, :3])
-            for flight, paint, pose in zip(flights, paints, box_poses, strict=True)
+            Box(texture=texture, center=pose[:3, 3], size=flight.size, axes=pose[:3, :3])
+            for flight, texture, pose in zip(flights, textures, box_poses, strict=True)
         ]
-        return Scene(objects=[*at_rest, *boxes], camera=camera, height=height, width=width)
+        return Scene(objects=[*static_objects, *boxes], camera=camera, height=height, width=width)
 
     for k, pose in enumerate(path):
         scene = scene_at(k, 0.0)
@@ -201,9 +201,9 @@ def bodies_film(
         if readout:
             frame = render_rolling_shutter(partial(scene_at, k), path, k, readout, samples)
         else:
-            frame = scene.frame_from(pose, samples=samples)
+            frame = scene.render_frame(pose, samples=samples)
         frames[k] = expose(frame, random, noise, 0.0, "uint8")
-        labels[k] = np.maximum(scene_labels - len(at_rest) + 1, 0)
+        labels[k] = np.maximum(scene_labels - len(static_objects) + 1, 0)
     return BodiesFilm(
         frames=frames,
         depth=depth,
@@ -218,7 +218,8 @@ def bodies_film(
 def bodies_path(count: int = 40) -> Floats:
     """Return poses, (count, 4, 4), of a camera that observes the bodies of `bodies_film`.
 
-    It moves sideways and forward, and turns a little, for 40 frames; then back, and so on.
+    For 40 frames the camera moves sideways and forward and rotates slightly. Then it moves back in
+    40 frames, and so on.
 
     Parameters
     ----------
@@ -237,16 +238,16 @@ def bodies_path(count: int = 40) -> Floats:
     (20, 4, 4)
     """
     check_whole_numbers(1, count=count)
-    at = 40 * np.abs((np.arange(count) / 40 + 1) % 2 - 1)
-    return np.array([pose_matrix((0.022 * k, 0, 0.006 * k, 0, -0.003 * k, 0)) for k in at])
+    steps = 40 * np.abs((np.arange(count) / 40 + 1) % 2 - 1)
+    return np.array([pose_matrix((0.022 * k, 0, 0.006 * k, 0, -0.003 * k, 0)) for k in steps])
 
 
-def _paint(flight: _Flight, width: int, seed: int, number: int) -> Texture:
+def _body_texture(flight: _Flight, width: int, seed: int, number: int) -> Texture:
     return Texture(
-        wavelength=wavelength_at(flight.middle[2]),
+        wavelength=wavelength_at(flight.center[2]),
         octaves=4,
         detail=detail_for(width),
-        mean=flight.mean,
+        mean=flight.mean_grey,
         contrast=42.0,
         seed=seed + 100 + number,
     )

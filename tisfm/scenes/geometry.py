@@ -1,4 +1,4 @@
-"""The objects of a scene: planes and boxes, where rays hit them, and their grey levels."""
+"""The objects of a scene, planes and boxes: intersections with rays, and grey levels."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,11 +11,13 @@ from tisfm.errors import InputError
 
 from .texture import Texture
 
-# Depth of a plane, in scene units, beyond which a ray counts as a miss: grazing rays stay finite.
+# Largest depth of a plane, in scene units: a ray that hits the plane farther away, almost parallel
+# to it, counts as a miss.
 MAX_PLANE_DEPTH = 1e9
-# Margin of the bounds of a box, as a share of its largest coordinate: far more than rounding.
+# Margin of the bounds of a box, as a share of its largest coordinate: much larger than rounding
+# errors.
 BOUNDS_MARGIN = 1e-6
-# Factors of the grey level of a box's faces -X +X -Y +Y -Z +Z: the top is light, one side dark.
+# Factors of the grey level of a box's faces -X +X -Y +Y -Z +Z: the top, -Y, is the lightest face.
 FACE_SHADES = (0.66, 0.76, 1.16, 0.6, 0.98, 0.86)
 _CORNER_SIGNS = 2.0 * np.indices((2, 2, 2)).reshape(3, 8) - 1
 
@@ -27,11 +29,11 @@ class Plane:
     Parameters
     ----------
     texture : Texture
-        Its paint.
+        Grey levels of the plane.
     point : array_like, shape (3,)
         Any point of the plane in frame 0.
     normal : array_like, shape (3,)
-        Its normal, of any length and sign. By default the plane is fronto-parallel.
+        Normal of the plane, of any length and sign. By default the plane is fronto-parallel.
     motion : array_like, shape (6,)
         Twist (T, ω), length/frame and rad/frame; at rest by default.
 
@@ -69,35 +71,37 @@ class Plane:
 
     @cached_property
     def _axes(self) -> Floats:
-        # The in-plane axes start from the camera axis most nearly in the plane.
-        across = np.eye(3)[np.argmin(np.abs(self.normal))]
-        across = across - (across @ self.normal) * self.normal
-        across /= np.linalg.norm(across)
-        return np.stack([across, np.cross(self.normal, across), self.normal], -1)
+        # The first in-plane axis is the projection of the camera axis with the smallest angle to
+        # the plane.
+        first = np.eye(3)[np.argmin(np.abs(self.normal))]
+        first = first - (first @ self.normal) * self.normal
+        first /= np.linalg.norm(first)
+        return np.stack([first, np.cross(self.normal, first), self.normal], -1)
 
     @property
     def _corners(self) -> None:
-        """A plane has none."""
+        """A plane has no corners."""
 
-    def _hit(self, origin: Floats, ray: Floats) -> Floats:
+    def _hit_depth(self, origin: Floats, ray: Floats) -> Floats:
         depth = -origin[2] / ray[2]
         return np.where((depth > 0) & (depth < MAX_PLANE_DEPTH), depth, np.inf)
 
-    def _grey(self, at: Floats, ray: Floats, footprint: Floats) -> NDArray:
-        return self.texture._grey(at[0], at[1], footprint / np.sqrt(np.abs(ray[2])))
+    def _grey(self, points: Floats, ray: Floats, footprint: Floats) -> NDArray:
+        return self.texture._grey(points[0], points[1], footprint / np.sqrt(np.abs(ray[2])))
 
-    def _plain(self, at: Floats) -> NDArray[np.bool_]:
-        return self.texture._plain(at[0], at[1])
+    def _is_plain(self, points: Floats) -> NDArray[np.bool_]:
+        return self.texture._is_plain(points[0], points[1])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Box:
-    """A textured box; its faces differ in pattern and shade. It is invisible from inside.
+    """A textured box. Its faces differ in pattern and shade, and are invisible from inside.
 
     Parameters
     ----------
     texture : Texture
-        Its paint. Shading multiplies the grey level by 0.6 to 1.16, limited to [0, 255].
+        Grey levels of all faces. Shading multiplies the grey levels of a face by 0.6 to 1.16,
+        limited to [0, 255].
     center : array_like, shape (3,)
         Centre in frame 0.
     size : array_like, shape (3,)
@@ -144,38 +148,38 @@ class Box:
 
     @cached_property
     def _corners(self) -> Floats:
-        """The corners, (3, 8), in the box's own axes, from its centre."""
+        """The corners, (3, 8), relative to the centre, in the box's own axes."""
         return _CORNER_SIGNS * (self.size / 2)[:, None]
 
-    def _hit(self, origin: Floats, ray: Floats) -> Floats:
+    def _hit_depth(self, origin: Floats, ray: Floats) -> Floats:
         # The slab method: the box is the intersection of three slabs between parallel planes.
         enter, leave = np.zeros(ray.shape[1]), np.full(ray.shape[1], np.inf)
         for position, direction, half in zip(origin, ray, self.size / 2, strict=True):
-            one, other = (-half - position) / direction, (half - position) / direction
-            np.maximum(enter, np.minimum(one, other), out=enter)
-            np.minimum(leave, np.maximum(one, other), out=leave)
+            depth0, depth1 = (-half - position) / direction, (half - position) / direction
+            np.maximum(enter, np.minimum(depth0, depth1), out=enter)
+            np.minimum(leave, np.maximum(depth0, depth1), out=leave)
         return np.where((enter < leave) & (enter > 0), enter, np.inf)
 
-    def _grey(self, at: Floats, ray: Floats, footprint: Floats) -> NDArray:
-        relative, axis = self._faces(at)
-        grey = np.empty(at.shape[1], np.float32)
+    def _grey(self, points: Floats, ray: Floats, footprint: Floats) -> NDArray:
+        relative, axis = self._faces(points)
+        grey = np.empty(points.shape[1], np.float32)
         for face, shade in enumerate(FACE_SHADES):
-            normal, sign = face // 2, 2 * (face % 2) - 1
-            on = np.flatnonzero((axis == normal) & (sign * relative[normal] > 0))
-            if on.size:
-                s, t = (at[other, on] for other in range(3) if other != normal)
-                patch = footprint[on] / np.sqrt(np.abs(ray[normal, on]))
-                grey[on] = shade * self.texture._grey(s, t, patch, face)
+            normal_axis, sign = face // 2, 2 * (face % 2) - 1
+            on_face = np.flatnonzero((axis == normal_axis) & (sign * relative[normal_axis] > 0))
+            if on_face.size:
+                s, t = (points[other, on_face] for other in range(3) if other != normal_axis)
+                face_footprint = footprint[on_face] / np.sqrt(np.abs(ray[normal_axis, on_face]))
+                grey[on_face] = shade * self.texture._grey(s, t, face_footprint, face)
         return np.clip(grey, 0, 255)
 
-    def _plain(self, at: Floats) -> NDArray[np.bool_]:
-        _, axis = self._faces(at)
-        s, t = np.where(axis == 0, at[1], at[0]), np.where(axis == 2, at[1], at[2])
-        return self.texture._plain(s, t)
+    def _is_plain(self, points: Floats) -> NDArray[np.bool_]:
+        _, axis = self._faces(points)
+        s, t = np.where(axis == 0, points[1], points[0]), np.where(axis == 2, points[1], points[2])
+        return self.texture._is_plain(s, t)
 
-    def _faces(self, at: Floats) -> tuple[Floats, NDArray[np.intp]]:
-        """Return points relative to the half lengths, and the axis that their face is normal to."""
-        relative = at / (self.size / 2)[:, None]
+    def _faces(self, points: Floats) -> tuple[Floats, NDArray[np.intp]]:
+        """Return points, (3, n), over the half edge lengths, and the normal axis of their faces."""
+        relative = points / (self.size / 2)[:, None]
         return relative, np.argmax(np.abs(relative), axis=0)
 
 
@@ -189,41 +193,42 @@ class ObjectView:
         axes, center = item._pose()
         self.rotation, self.translation = rotation, translation
         axes, center = rotation @ axes, rotation @ center + translation
-        # A point P of the camera axes has the object coordinates turn P + origin.
-        self.item, self.turn, self.origin = item, axes.T, -axes.T @ center
-        self._bounds = _bounds_of(item._corners, axes, center)
+        # A point P in camera axes has the object coordinates object_rotation P + origin.
+        self.item, self.object_rotation, self.origin = item, axes.T, -axes.T @ center
+        self._bounds = _image_bounds(item._corners, axes, center)
 
-    def is_beside(self, first: Floats, last: Floats) -> bool:
-        """Return whether no ray meets the object whose (x̂, ŷ) are between the first and last."""
+    def misses_all(self, first: Floats, last: Floats) -> bool:
+        """Return whether all rays with (x̂, ŷ) between `first` and `last` miss the object."""
         if self._bounds is None:
             return False
         left, top, right, bottom = self._bounds
         return first[0] > right or last[0] < left or first[1] > bottom or last[1] < top
 
-    def hit(self, rays: Floats) -> Floats:
-        """Return the depth of the object along rays, infinite where they miss it."""
-        return self.item._hit(self.origin, self._turned(rays))
+    def hit_depth(self, rays: Floats) -> Floats:
+        """Return the depth of the object along rays, infinite if a ray misses the object."""
+        return self.item._hit_depth(self.origin, self._to_object_axes(rays))
 
     def grey(self, rays: Floats, depth: Floats, focal: float) -> NDArray:
-        """Return the grey level, float32, where rays hit the object; focal length in px."""
-        ray = self._turned(rays)
+        """Return the grey levels, (n,) float32, at depths along rays; focal length in px."""
+        ray = self._to_object_axes(rays)
         return self.item._grey(ray * depth + self.origin[:, None], ray, depth / focal)
 
-    def plain(self, rays: Floats, depth: Floats) -> NDArray[np.bool_]:
-        """Return whether the surface has a single grey level where rays hit the object."""
-        return self.item._plain(self._turned(rays) * depth + self.origin[:, None])
+    def is_plain(self, rays: Floats, depth: Floats) -> NDArray[np.bool_]:
+        """Return whether the surface has a single grey level around the points at these depths."""
+        return self.item._is_plain(self._to_object_axes(rays) * depth + self.origin[:, None])
 
-    def _turned(self, rays: Floats) -> Floats:
-        # Avoids components of exactly zero, by which the slab method would divide.
-        return self.turn @ rays + 1e-150
+    def _to_object_axes(self, rays: Floats) -> Floats:
+        # The slab method divides by components: the addition keeps them from being exactly zero.
+        return self.object_rotation @ rays + 1e-150
 
 
-def _bounds_of(
+def _image_bounds(
     corners: Floats | None, axes: Floats, center: Floats
 ) -> tuple[float, float, float, float] | None:
-    """Return the rectangle in which a box is seen, with a margin: (left, top, right, bottom).
+    """Return the bounds of the image of a box, with a margin: (left, top, right, bottom).
 
-    Its sides are x̂ and ŷ. None without corners, and where some are not in front of the camera.
+    The bounds are x̂ and ŷ. Return None for an object without corners, or if some corner is not in
+    front of the camera.
     """
     if corners is None:
         return None

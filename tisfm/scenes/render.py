@@ -14,9 +14,9 @@ from tisfm.rigid import rigid_motion, rigid_twist
 from .geometry import Box, ObjectView, Plane
 
 CHUNK = 1 << 15
-"""Rays that are cast at once: their temporary arrays stay in the cache."""
+"""Number of rays that are cast at once: the temporary arrays fit into the cache."""
 
-# Rays (x̂, ŷ, 1), (3, n), and the depth and the label of the nearest object along them, (n,).
+# Rays (x̂, ŷ, 1), (3, n), and the depth and the label of the nearest object along each ray, (n,).
 Band = tuple[Floats, Floats, NDArray[np.int32]]
 
 
@@ -27,25 +27,25 @@ class SyntheticPair:
     Attributes
     ----------
     frame0, frame1 : ndarray, shape (H, W), uint8 or float32
-        Grey levels on the 8-bit scale; float32 ones are not rounded.
+        Grey levels on the 8-bit scale; float32 grey levels are not rounded.
     camera : Camera
         The camera of both frames.
     depth : ndarray, shape (H, W), float64
         Z in frame 0.
     flow : ndarray, shape (H, W, 2), float64
-        Finite displacement (u, v), px: projection of P1 = R P0 + t less the pixel; NaN where P1 is
+        Displacement (u, v), px: projection of P1 = R P0 + t minus the pixel position; NaN if P1 is
         not in front of the camera.
     tau, omega : ndarray, shape (3, H, W), float64
-        T/Z, 1/frame, and ω, rad/frame: the twist of the object seen at each pixel.
+        T/Z, 1/frame, and ω, rad/frame: the twist of the object at each pixel.
     labels : ndarray, shape (H, W), int32
-        Index of the object seen.
+        Index of the object at each pixel.
     motions : ndarray, shape (K, 6), float64
         Twist (T, ω) of each object, by label.
     visible : ndarray, shape (H, W), bool
-        Whether the same point is seen in frame 1: it projects between the centres of the border
-        pixels and nothing hides it.
+        Whether the same point is visible in frame 1: it projects between the centres of the border
+        pixels, and no other surface hides it.
     textured : ndarray, shape (H, W), bool
-        Whether the surface is textured there, rather than of a single grey level.
+        Whether the surface at the pixel has a texture, rather than a single grey level.
 
     Examples
     --------
@@ -120,8 +120,10 @@ class Scene:
             raise InputError("objects is empty: expected at least a background Plane")
         for index, item in enumerate(self.objects):
             if not isinstance(item, Plane | Box):
-                kind = type(item).__name__
-                raise InputTypeError(f"objects[{index}] is a {kind}: expected a Plane or a Box")
+                type_name = type(item).__name__
+                raise InputTypeError(
+                    f"objects[{index}] is a {type_name}: expected a Plane or a Box"
+                )
 
     def render(self, *, samples: int = 3, dtype: str = "uint8") -> SyntheticPair:
         """Cast the rays of both frames and compute the ground truth.
@@ -129,7 +131,8 @@ class Scene:
         Parameters
         ----------
         samples : int, default 3
-            Rays per pixel side: a pixel is the mean of samples² rays. Time grows in proportion.
+            Rays per pixel side: a pixel is the mean of samples² rays. Time grows in proportion to
+            samples².
         dtype : {"uint8", "float32"}
             Type of the frames; float32 keeps the fractions of a grey level.
 
@@ -141,19 +144,22 @@ class Scene:
         Raises
         ------
         ValueError
-            If an option is not valid, or some ray hits no object.
+            If an option is not valid, or some ray misses all objects.
         """
         check_whole_numbers(1, samples=samples)
         check_dtype(dtype)
         before = [ObjectView(item, np.eye(3), np.zeros(3)) for item in self.objects]
         after = [ObjectView(item, *rigid_motion(item.motion)) for item in self.objects]
-        frames = [self._frame(views, samples) for views in (before, after)]
+        frames = [self._cast_frame(views, samples) for views in (before, after)]
         if dtype == "uint8":
             frames = [np.rint(frame).astype(np.uint8) for frame in frames]
-        bands = [self._truth(before, after, band) for band in self._bands(before, np.zeros((1, 2)))]
+        bands = [
+            self._truth_of_band(before, after, band)
+            for band in self._cast_bands(before, np.zeros((1, 2)))
+        ]
         depth, labels, u, v, visible, textured = (
-            np.concatenate(part).reshape(self.height, self.width)
-            for part in zip(*bands, strict=True)
+            np.concatenate(rows).reshape(self.height, self.width)
+            for rows in zip(*bands, strict=True)
         )
         motions = np.array([item.motion for item in self.objects])
         twist = np.moveaxis(motions[labels], -1, 0)
@@ -171,13 +177,13 @@ class Scene:
             textured=textured,
         )
 
-    def seen_from(self, pose: ArrayLike, *, samples: int = 3) -> tuple[NDArray, Floats]:
+    def render_view(self, pose: ArrayLike, *, samples: int = 3) -> tuple[NDArray, Floats]:
         """Render one view of the scene at the first instant.
 
         Parameters
         ----------
         pose : array_like, shape (4, 4)
-            Camera to world, the world's axes being those of frame 0.
+            Camera to world; the axes of the world are the camera axes of frame 0.
         samples : int, default 3
             As in `render`.
 
@@ -190,43 +196,46 @@ class Scene:
         Raises
         ------
         ValueError
-            If the pose is not a rigid motion, or some ray hits no object.
+            If the pose is not a rigid motion, or some ray misses all objects.
         """
-        frame, depth, _ = self.seen_with_labels(pose, samples=samples)
+        frame, depth, _ = self.render_view_with_labels(pose, samples=samples)
         return frame, depth
 
-    def seen_with_labels(
+    def render_view_with_labels(
         self, pose: ArrayLike, *, samples: int = 3
     ) -> tuple[NDArray, Floats, NDArray[np.int32]]:
-        """Return frame and depth of a view as `seen_from` does, and the labels, (H, W)."""
+        """Return frame and depth of a view as `render_view` does, and the labels, (H, W)."""
         depth, labels = self.depth_and_labels(pose)
-        return self.frame_from(pose, samples=samples), depth, labels
+        return self.render_frame(pose, samples=samples), depth, labels
 
-    def frame_from(self, pose: ArrayLike, *, samples: int = 3) -> NDArray:
-        """Return the frame of one view alone, (H, W) float32, as `seen_from` does."""
+    def render_frame(self, pose: ArrayLike, *, samples: int = 3) -> NDArray:
+        """Return only the frame of a view, (H, W) float32, as `render_view` does."""
         check_whole_numbers(1, samples=samples)
-        return self._frame(self._views_from(pose), samples)
+        return self._cast_frame(self._views_from(pose), samples)
 
     def depth_and_labels(self, pose: ArrayLike) -> tuple[Floats, NDArray[np.int32]]:
-        """Return the depth and the labels of one view alone, (H, W), as `seen_with_labels` does."""
+        """Return only the depth and the labels of a view, (H, W)."""
         views = self._views_from(pose)
-        bands = [(depth, labels) for _, depth, labels in self._bands(views, np.zeros((1, 2)))]
+        bands = [(depth, labels) for _, depth, labels in self._cast_bands(views, np.zeros((1, 2)))]
         depth, labels = (
-            np.concatenate(part).reshape(self.height, self.width)
-            for part in zip(*bands, strict=True)
+            np.concatenate(rows).reshape(self.height, self.width)
+            for rows in zip(*bands, strict=True)
         )
         return depth, labels
 
     def _views_from(self, pose: ArrayLike) -> list[ObjectView]:
         matrix = check_finite(pose, (4, 4), "pose")
-        turn = matrix[:3, :3].T
-        if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0:
+        to_camera = matrix[:3, :3].T
+        if (
+            not np.allclose(to_camera @ to_camera.T, np.eye(3), atol=1e-6)
+            or np.linalg.det(to_camera) < 0
+        ):
             raise InputError(f"pose is {matrix.tolist()}: expected a rotation and a translation")
-        rotation, translation = rigid_motion(rigid_twist(turn, -turn @ matrix[:3, 3]))
+        rotation, translation = rigid_motion(rigid_twist(to_camera, -to_camera @ matrix[:3, 3]))
         return [ObjectView(item, rotation, translation) for item in self.objects]
 
-    def _bands(self, views: list[ObjectView], offsets: Floats) -> Iterator[Band]:
-        """Cast rays from each pixel, at offsets, (k, 2), px; yield bands of rows."""
+    def _cast_bands(self, views: list[ObjectView], offsets: Floats) -> Iterator[Band]:
+        """Cast rays at offsets, (k, 2), px, from each pixel centre; yield bands of rows."""
         cx, cy = self.camera.center_for(self.height, self.width)
         x = np.arange(self.width) - cx
         rows = max(1, CHUNK // (self.width * len(offsets)))
@@ -236,7 +245,7 @@ class Scene:
             grid[0] = (x + offsets[:, 0, None, None]) / self.camera.focal
             grid[1] = (y[:, None] + offsets[:, 1, None, None]) / self.camera.focal
             rays = grid.reshape(3, -1)
-            depth, labels = _nearest(views, rays)
+            depth, labels = _nearest_object(views, rays)
             if not np.isfinite(depth).all():
                 raise InputError(
                     f"objects leave {np.mean(~np.isfinite(depth)):.0%} of a band of rays without "
@@ -244,37 +253,43 @@ class Scene:
                 )
             yield rays, depth, labels
 
-    def _frame(self, views: list[ObjectView], samples: int) -> NDArray:
+    def _cast_frame(self, views: list[ObjectView], samples: int) -> NDArray:
         """Render one frame, (H, W) float32."""
         bands = []
-        for rays, depth, labels in self._bands(views, _sample_offsets(samples)):
+        for rays, depth, labels in self._cast_bands(views, _sample_offsets(samples)):
             grey = np.empty(depth.size, np.float32)
             for label in np.unique(labels):
-                on = np.flatnonzero(labels == label)
-                grey[on] = views[label].grey(rays[:, on], depth[on], self.camera.focal)
+                indices = np.flatnonzero(labels == label)
+                grey[indices] = views[label].grey(
+                    rays[:, indices], depth[indices], self.camera.focal
+                )
             bands.append(grey.reshape(samples**2, -1, self.width).mean(axis=0))
         return np.concatenate(bands)
 
-    def _truth(
+    def _truth_of_band(
         self, before: list[ObjectView], after: list[ObjectView], band: Band
     ) -> tuple[NDArray, ...]:
-        """Return depth, labels, u, v, visibility and texturedness of the pixels of frame 0."""
+        """Return the truth of the pixels of frame 0: depth, labels, u, v, visible and textured."""
         rays, depth, labels = band
-        moved = np.empty_like(rays)
+        points1 = np.empty_like(rays)
         textured = np.empty(labels.shape, bool)
         for label, view in enumerate(after):
-            on = labels == label
-            textured[on] = ~before[label].plain(rays[:, on], depth[on])
-            moved[:, on] = view.rotation @ (rays[:, on] * depth[on]) + view.translation[:, None]
-        in_front = moved[2] > 0
-        new_rays = moved / np.where(in_front, moved[2], np.nan)
-        u, v, _ = self.camera.focal * (new_rays - rays)
+            mask = labels == label
+            textured[mask] = ~before[label].is_plain(rays[:, mask], depth[mask])
+            points1[:, mask] = (
+                view.rotation @ (rays[:, mask] * depth[mask]) + view.translation[:, None]
+            )
+        is_in_front = points1[2] > 0
+        rays1 = points1 / np.where(is_in_front, points1[2], np.nan)
+        u, v, _ = self.camera.focal * (rays1 - rays)
         cx, cy = self.camera.center_for(self.height, self.width)
-        x, y = self.camera.focal * new_rays[0] + cx, self.camera.focal * new_rays[1] + cy
-        inside = in_front & (x >= 0) & (x <= self.width - 1) & (y >= 0) & (y <= self.height - 1)
-        nearest, _ = _nearest(after, np.where(inside, new_rays, rays))
-        # The ray hits the point itself at its own depth, up to rounding.
-        visible = inside & (nearest > moved[2] * (1 - 1e-6))
+        x, y = self.camera.focal * rays1[0] + cx, self.camera.focal * rays1[1] + cy
+        is_inside = (
+            is_in_front & (x >= 0) & (x <= self.width - 1) & (y >= 0) & (y <= self.height - 1)
+        )
+        nearest_depth, _ = _nearest_object(after, np.where(is_inside, rays1, rays))
+        # The ray also hits the point itself, at its depth up to rounding.
+        visible = is_inside & (nearest_depth > points1[2] * (1 - 1e-6))
         return depth, labels, u, v, visible, textured
 
 
@@ -284,25 +299,25 @@ def check_dtype(dtype: str) -> None:
         raise InputError(f"dtype is {dtype!r}: expected 'uint8' or 'float32'")
 
 
-def _nearest(views: list[ObjectView], rays: Floats) -> tuple[Floats, NDArray[np.int32]]:
+def _nearest_object(views: list[ObjectView], rays: Floats) -> tuple[Floats, NDArray[np.int32]]:
     """Return the depth and the label of the nearest object along rays."""
-    nearest = np.full(rays.shape[1], np.inf)
+    nearest_depth = np.full(rays.shape[1], np.inf)
     labels = np.zeros(rays.shape[1], np.int32)
     first, last = rays[:2].min(axis=1), rays[:2].max(axis=1)
     for label, view in enumerate(views):
-        if not view.is_beside(first, last):
-            depth = view.hit(rays)
-            closer = depth < nearest
-            np.copyto(nearest, depth, where=closer)
-            labels[closer] = label
-    return nearest, labels
+        if not view.misses_all(first, last):
+            depth = view.hit_depth(rays)
+            is_closer = depth < nearest_depth
+            np.copyto(nearest_depth, depth, where=is_closer)
+            labels[is_closer] = label
+    return nearest_depth, labels
 
 
 def _sample_offsets(samples: int) -> Floats:
     """Return the sample positions of a pixel, px from its centre, (samples², 2).
 
-    The square grid is slightly rotated: all samples differ in column and row, so that an edge along
-    a pixel axis gets samples² + 1 levels.
+    The square grid is rotated slightly: all samples differ in column and in row, so that an edge
+    along a pixel axis gets samples² + 1 grey levels.
     """
     column, row = (index.ravel() for index in np.mgrid[:samples, :samples])
     x = (column + (row + 0.5) / samples) / samples

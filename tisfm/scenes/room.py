@@ -17,66 +17,69 @@ from .geometry import Box, Plane
 from .render import Scene, SyntheticPair, check_dtype
 from .texture import Texture
 
-# The camera looks to the right of the far wall and down, rad.
+# Rotation of the camera from the normal of the far wall, rad: to the right, and down.
 _YAW = math.radians(26)
 _PITCH = math.radians(8)
-_FLOOR = 1.5  # m below the camera
-_CEILING = -1.15  # m below the camera
-# Walls, m from the camera.
-_AHEAD = 3.5
-_RIGHT = 2.3
-_LEFT = -2.6
-_BEHIND = -2.5
-_TILE = 0.33  # m from tile to tile
-_JOINT = 0.006  # m, width of a joint
+# Positions from the camera along the axes of the room, X right, Y down, Z ahead, m.
+_FLOOR_Y = 1.5
+_CEILING_Y = -1.15
+_FAR_WALL_Z = 3.5
+_RIGHT_WALL_X = 2.3
+_LEFT_WALL_X = -2.6
+_BACK_WALL_Z = -2.5
+_TILE_SPACING = 0.33  # m from tile to tile
+_JOINT_WIDTH = 0.006  # m
 _TILE_PERIOD = 64  # tiles along each axis until their shades repeat
 FOCAL = 0.6
 """Default focal length as a share of the width."""
 
-_FINEST_WAVE = 4.0  # px, the finest wave without detail, in an image of this width:
+_MIN_WAVELENGTH = 4.0  # px: shortest wave without detail, in an image of this width:
 _REFERENCE_WIDTH = 320  # px
 _SHUTTER_ROWS = 2  # rows that are rendered at one instant, with a rolling shutter
-_FIRST_TEXTURED = 5  # labels below this one are bare walls and the ceiling
-_AXES = (  # of the room in columns: right, down, ahead
+_FLOOR_LABEL = 5  # smaller labels belong to the walls and the ceiling
+_AXES = (  # columns: the axes of the room, right, down and ahead, in camera axes
     rigid_motion((0, 0, 0, _PITCH, 0, 0))[0] @ rigid_motion((0, 0, 0, 0, -_YAW, 0))[0]
 )
-# Axes of a wall in columns, in those of the room: along it to the right, down, into the wall.
-_FAR_WALL = np.eye(3)
-_RIGHT_WALL = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
-Triple = tuple[
-    float, float, float
-]  # right, down, ahead; or edge lengths along the axes of a box; m
+# Columns: the axes of a wall in axes of the room: to the right along the wall, down, into the wall.
+_FAR_WALL_AXES = np.eye(3)
+_RIGHT_WALL_AXES = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+# A position, right, down and ahead, or edge lengths along the axes of a box; m.
+Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Tiles(Texture):
-    """Square tiles of weakly marbled paint, of varying brightness, with dark joints."""
+    """Square tiles with weakly marbled grey levels and different brightness, and dark joints."""
 
-    # side, joint: distance from tile to tile, and width of a joint, in the scene's unit of length
-    side: float
-    joint: float
-    spread: float  # standard deviation of the grey levels of the tiles
+    # spacing, joint_width: distance from tile to tile, and width of a joint, in the scene's unit
+    spacing: float
+    joint_width: float
+    shade_std: float  # standard deviation of the brightness of tiles, grey levels
     joint_grey: float  # grey level of joints
 
     def _grey(self, s: Floats, t: Floats, footprint: Floats, face: int = 0) -> NDArray:
         random = np.random.default_rng([self.seed, face, _TILE_PERIOD])
-        shades = self.spread * random.uniform(-1.7, 1.7, (_TILE_PERIOD, _TILE_PERIOD))
-        column, row = (np.floor(at / self.side).astype(np.int64) % _TILE_PERIOD for at in (s, t))
+        shades = self.shade_std * random.uniform(-1.7, 1.7, (_TILE_PERIOD, _TILE_PERIOD))
+        column, row = (np.floor(x / self.spacing).astype(np.int64) % _TILE_PERIOD for x in (s, t))
         # The shades of tiles smaller than a pixel fade out.
-        shade_weight = np.clip(self.side / footprint - 1, 0, 1)
+        shade_weight = np.clip(self.spacing / footprint - 1, 0, 1)
         grey = super()._grey(s, t, footprint, face) + shade_weight * shades[row, column]
-        bare = (1 - self._joint_share(s, footprint)) * (1 - self._joint_share(t, footprint))
-        return np.clip(grey * bare + self.joint_grey * (1 - bare), 0, 255).astype(np.float32)
+        tile_share = (1 - self._joint_share(s, footprint)) * (1 - self._joint_share(t, footprint))
+        return np.clip(grey * tile_share + self.joint_grey * (1 - tile_share), 0, 255).astype(
+            np.float32
+        )
 
-    def _joint_share(self, at: Floats, footprint: Floats) -> Floats:
-        """Return the share of joints in an interval as long as the footprint, around points."""
+    def _joint_share(self, x: Floats, footprint: Floats) -> Floats:
+        """Return the share of joints in intervals of the length `footprint` around x."""
 
-        def joints(end: Floats) -> Floats:  # total length of joints from 0 to `end`
-            whole_tiles = np.floor(end / self.side)
-            return whole_tiles * self.joint + np.minimum(end - whole_tiles * self.side, self.joint)
+        def joint_length(end: Floats) -> Floats:  # total length of joints from 0 to `end`
+            tiles = np.floor(end / self.spacing)
+            return tiles * self.joint_width + np.minimum(
+                end - tiles * self.spacing, self.joint_width
+            )
 
         half = footprint / 2
-        return (joints(at + half) - joints(at - half)) / footprint
+        return (joint_length(x + half) - joint_length(x - half)) / footprint
 
 
 def room(
@@ -94,9 +97,9 @@ def room(
     """Render a room at rest from inside: a tiled floor, a few objects, and slanted bare walls.
 
     Walls and ceiling have only faint shading, and fill more than half of the image. The tiles of
-    the floor look alike. There are a door with its frame and handle, two pictures and two boxes.
-    Lengths are in m: the camera is 1.5 m above the floor, walls are 2 to 4 m away. At the default
-    size displacements are about 7 to 24 px; they scale with the size.
+    the floor are similar to each other. The objects are a door with its frame and handle, two
+    pictures and two boxes. Lengths are in m: the camera is 1.5 m above the floor, and the walls are
+    2 to 4 m away. At the default size displacements are about 7 to 24 px; they scale with the size.
 
     Parameters
     ----------
@@ -118,9 +121,9 @@ def room(
     Returns
     -------
     SyntheticPair
-        Labels are 0 for the far wall, 1 for the right, 2 for the left one, 3 for the wall behind
-        the camera, 4 for the ceiling, 5 for the floor, and then the objects. `textured` is False on
-        walls and ceiling.
+        Labels are 0 for the far wall, 1 for the right wall, 2 for the left wall, 3 for the wall
+        behind the camera, 4 for the ceiling, 5 for the floor, and 6 and above for the objects.
+        `textured` is False on walls and ceiling.
 
     Raises
     ------
@@ -145,7 +148,7 @@ def room(
     frame0, frame1 = (
         expose(frame, random, noise, blur, dtype) for frame in (pair.frame0, pair.frame1)
     )
-    return replace(pair, frame0=frame0, frame1=frame1, textured=pair.labels >= _FIRST_TEXTURED)
+    return replace(pair, frame0=frame0, frame1=frame1, textured=pair.labels >= _FLOOR_LABEL)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -200,8 +203,9 @@ def room_film(
     textured : bool, default False
         Whether walls and ceiling have a wallpaper with a pattern, rather than being bare.
     readout : float, default 0
-        Readout time of a rolling shutter, as for `tisfm.Camera`. Poses and depth are those of the
-        middle row; between poses, the camera moves with constant velocity and rotation rate.
+        Readout time of a rolling shutter, as for `tisfm.Camera`. Poses and depth hold at the
+        readout of the middle row. Between poses, the camera moves with constant velocity and
+        rotation rate.
 
     Raises
     ------
@@ -227,9 +231,9 @@ def room_film(
     for k, pose in enumerate(path):
         depth[k], _ = scene.depth_and_labels(pose)
         if readout:
-            frame = render_rolling_shutter(lambda late: scene, path, k, readout, samples)
+            frame = render_rolling_shutter(lambda delay: scene, path, k, readout, samples)
         else:
-            frame = scene.frame_from(pose, samples=samples)
+            frame = scene.render_frame(pose, samples=samples)
         frames[k] = expose(frame, random, noise, blur, "uint8")
     return Film(frames=frames, depth=depth, poses=path, camera=camera)
 
@@ -237,7 +241,7 @@ def room_film(
 def check_film(
     poses: ArrayLike, height: int, width: int, noise: float, blur: float = 0.0
 ) -> Floats:
-    """Check the options of a film; return its poses, (N, 4, 4) float64."""
+    """Check the options of a film; return the poses, (N, 4, 4) float64."""
     _check_picture(height, width, noise, blur)
     path = np.asarray(poses, np.float64)
     if path.ndim != 3 or path.shape[1:] != (4, 4) or len(path) == 0:
@@ -247,8 +251,8 @@ def check_film(
 
 def room_objects(width: int, seed: int, *, textured: bool) -> list[Plane | Box]:
     """Return the objects of the room at rest, for images of a width, px."""
-    still = np.zeros(6)
-    return [*_walls(still, width, seed, textured=textured), *_furniture(still, width, seed)]
+    motion = np.zeros(6)
+    return [*_walls(motion, width, seed, textured=textured), *_furniture(motion, width, seed)]
 
 
 def _check_picture(height: int, width: int, noise: float, blur: float) -> None:
@@ -271,29 +275,29 @@ def render_rolling_shutter(
 
     `scene_at` returns the scene at a delay from the frame, in frame intervals; it may be negative.
     """
-    now = scene_at(0.0)
-    cx, cy = now.camera.center_for(now.height, now.width)
-    parts = []
-    for top in range(0, now.height, _SHUTTER_ROWS):
-        rows = min(_SHUTTER_ROWS, now.height - top)
-        delay = readout * (top + (rows - now.height) / 2) / now.height
+    scene0 = scene_at(0.0)
+    cx, cy = scene0.camera.center_for(scene0.height, scene0.width)
+    bands = []
+    for top in range(0, scene0.height, _SHUTTER_ROWS):
+        rows = min(_SHUTTER_ROWS, scene0.height - top)
+        delay = readout * (top + (rows - scene0.height) / 2) / scene0.height
         scene = scene_at(delay)
         camera = replace(scene.camera, center=(cx, cy - top))
-        part = replace(scene, camera=camera, height=rows)
-        parts.append(part.frame_from(_interpolate(path, number, delay), samples=samples))
-    return np.concatenate(parts)
+        band = replace(scene, camera=camera, height=rows)
+        bands.append(band.render_frame(_interpolate_pose(path, number, delay), samples=samples))
+    return np.concatenate(bands)
 
 
-def _interpolate(path: Floats, number: int, delay: float) -> Floats:
+def _interpolate_pose(path: Floats, number: int, delay: float) -> Floats:
     """Return the pose at a delay from a frame, in frame intervals; it may be negative."""
-    other = number + (1 if delay > 0 else -1)
-    if not 0 <= other < len(path):  # beyond an end of the path: extrapolate the nearest motion
-        other = 2 * number - other
-    if not 0 <= other < len(path):
+    neighbour = number + (1 if delay > 0 else -1)
+    if not 0 <= neighbour < len(path):  # beyond an end of the path: extrapolate the nearest motion
+        neighbour = 2 * number - neighbour
+    if not 0 <= neighbour < len(path):  # the path has a single pose
         return path[number]
-    motion = np.linalg.inv(path[number]) @ path[other]
+    motion = np.linalg.inv(path[number]) @ path[neighbour]
     twist = rigid_twist(motion[:3, :3], motion[:3, 3])
-    return np.asarray(path[number] @ pose_matrix(delay * (other - number) * twist))
+    return np.asarray(path[number] @ pose_matrix(delay * (neighbour - number) * twist))
 
 
 def _walls(motion: Floats, width: int, seed: int, *, textured: bool = False) -> list[Plane]:
@@ -302,9 +306,9 @@ def _walls(motion: Floats, width: int, seed: int, *, textured: bool = False) -> 
     def wall(number: int, mean: float, point: Triple, normal: Triple) -> Plane:
         if textured:
             wavelength, detail, contrast = wavelength_at(3.0), detail_for(width), 40.0
-        else:  # waves of some metres, and hardly any shorter ones: shading by light
+        else:  # waves of some metres and very weak shorter waves, like the shading of a bare wall
             wavelength, detail, contrast = 0.7, 0, 11.0
-        paint = Texture(
+        texture = Texture(
             wavelength=wavelength,
             octaves=5 if textured else 4,
             detail=detail,
@@ -312,28 +316,28 @@ def _walls(motion: Floats, width: int, seed: int, *, textured: bool = False) -> 
             contrast=contrast,
             seed=seed + number,
         )
-        return Plane(texture=paint, point=_AXES @ point, normal=_AXES @ normal, motion=motion)
+        return Plane(texture=texture, point=_AXES @ point, normal=_AXES @ normal, motion=motion)
 
     tiles = _Tiles(
         wavelength=wavelength_at(2.5),
         detail=detail_for(width),
         mean=118,
         contrast=7,
-        seed=seed + _FIRST_TEXTURED,
-        side=_TILE,
-        joint=_JOINT,
-        spread=5.0,
+        seed=seed + _FLOOR_LABEL,
+        spacing=_TILE_SPACING,
+        joint_width=_JOINT_WIDTH,
+        shade_std=5.0,
         joint_grey=72,
     )
     floor = Plane(
-        texture=tiles, point=_AXES @ (0.1, _FLOOR, 0.05), normal=_AXES @ (0, -1, 0), motion=motion
+        texture=tiles, point=_AXES @ (0.1, _FLOOR_Y, 0.05), normal=_AXES @ (0, -1, 0), motion=motion
     )
     return [
-        wall(0, 196, (0, 0, _AHEAD), (0, 0, -1)),
-        wall(1, 176, (_RIGHT, 0, 0), (-1, 0, 0)),
-        wall(2, 182, (_LEFT, 0, 0), (1, 0, 0)),
-        wall(3, 188, (0, 0, _BEHIND), (0, 0, 1)),
-        wall(4, 214, (0, _CEILING, 0), (0, 1, 0)),
+        wall(0, 196, (0, 0, _FAR_WALL_Z), (0, 0, -1)),
+        wall(1, 176, (_RIGHT_WALL_X, 0, 0), (-1, 0, 0)),
+        wall(2, 182, (_LEFT_WALL_X, 0, 0), (1, 0, 0)),
+        wall(3, 188, (0, 0, _BACK_WALL_Z), (0, 0, 1)),
+        wall(4, 214, (0, _CEILING_Y, 0), (0, 1, 0)),
         floor,
     ]
 
@@ -342,45 +346,55 @@ def _furniture(motion: Floats, width: int, seed: int) -> list[Box]:
     """Return a door, pictures, skirting boards and boxes."""
     boxes: list[Box] = []
 
-    def paint(mean: float, contrast: float) -> Texture:
+    def make_texture(mean: float, contrast: float) -> Texture:
         return Texture(
             wavelength=wavelength_at(3.5),
             detail=detail_for(width),
             mean=mean,
             contrast=contrast,
-            seed=seed + _FIRST_TEXTURED + 1 + len(boxes),
+            seed=seed + _FLOOR_LABEL + 1 + len(boxes),
         )
 
-    def add(wall: Floats, center: Triple, size: Triple, texture: Texture) -> None:
+    def add(axes: Floats, center: Triple, size: Triple, surface: Texture) -> None:
         boxes.append(
-            Box(texture=texture, center=_AXES @ center, size=size, axes=_AXES @ wall, motion=motion)
+            Box(texture=surface, center=_AXES @ center, size=size, axes=_AXES @ axes, motion=motion)
         )
 
-    def on_far(across: float, down: float, size: Triple, texture: Texture) -> None:
-        add(_FAR_WALL, (across, down, _AHEAD), (size[0], size[1], 2 * size[2]), texture)
+    def on_far_wall(right: float, down: float, size: Triple, surface: Texture) -> None:
+        add(_FAR_WALL_AXES, (right, down, _FAR_WALL_Z), (size[0], size[1], 2 * size[2]), surface)
 
-    def on_right(ahead: float, down: float, size: Triple, texture: Texture) -> None:
-        add(_RIGHT_WALL, (_RIGHT, down, ahead), (size[0], size[1], 2 * size[2]), texture)
+    def on_right_wall(ahead: float, down: float, size: Triple, surface: Texture) -> None:
+        add(
+            _RIGHT_WALL_AXES,
+            (_RIGHT_WALL_X, down, ahead),
+            (size[0], size[1], 2 * size[2]),
+            surface,
+        )
 
-    def on_floor(across: float, ahead: float, size: Triple, degrees: float) -> None:
-        turn, _ = rigid_motion((0, 0, 0, 0, math.radians(degrees), 0))
-        add(turn, (across, _FLOOR - size[1] / 2, ahead), size, paint(128, 40))
+    def on_floor(right: float, ahead: float, size: Triple, degrees: float) -> None:
+        axes, _ = rigid_motion((0, 0, 0, 0, math.radians(degrees), 0))
+        add(axes, (right, _FLOOR_Y - size[1] / 2, ahead), size, make_texture(128, 40))
 
     # A door of 0.85 × 2 m on the far wall.
-    on_far(0.55, 0.5, (0.85, 2.0, 0.015), paint(152, 4))
+    on_far_wall(0.55, 0.5, (0.85, 2.0, 0.015), make_texture(152, 4))
     for side in (-1, 1):
-        on_far(0.55 + side * 0.465, 0.46, (0.08, 2.08, 0.03), paint(205, 2))
-    on_far(0.55, -0.54, (0.85, 0.08, 0.03), paint(205, 2))
-    on_far(0.21, 0.5, (0.05, 0.18, 0.03), paint(70, 8))
-    on_far(0.27, 0.47, (0.14, 0.025, 0.06), paint(60, 8))
+        on_far_wall(0.55 + side * 0.465, 0.46, (0.08, 2.08, 0.03), make_texture(205, 2))
+    on_far_wall(0.55, -0.54, (0.85, 0.08, 0.03), make_texture(205, 2))
+    on_far_wall(0.21, 0.5, (0.05, 0.18, 0.03), make_texture(70, 8))
+    on_far_wall(0.27, 0.47, (0.14, 0.025, 0.06), make_texture(60, 8))
     # Skirting boards.
-    on_far(-1.28, _FLOOR - 0.05, (2.65, 0.1, 0.012), paint(215, 3))
-    on_far(1.68, _FLOOR - 0.05, (1.25, 0.1, 0.012), paint(215, 3))
-    on_right(0.5, _FLOOR - 0.05, (6.0, 0.1, 0.012), paint(215, 3))
+    on_far_wall(-1.28, _FLOOR_Y - 0.05, (2.65, 0.1, 0.012), make_texture(215, 3))
+    on_far_wall(1.68, _FLOOR_Y - 0.05, (1.25, 0.1, 0.012), make_texture(215, 3))
+    on_right_wall(0.5, _FLOOR_Y - 0.05, (6.0, 0.1, 0.012), make_texture(215, 3))
     # Pictures in their frames.
-    for ahead, down, across, high in ((2.55, -0.05, 0.62, 0.46), (1.55, 0.02, 0.4, 0.52)):
-        on_right(ahead, down, (across + 0.07, high + 0.07, 0.02), paint(62, 6))
-        on_right(ahead, down, (across, high, 0.022), paint(135, 80))
+    for ahead, down, picture_width, picture_height in (
+        (2.55, -0.05, 0.62, 0.46),
+        (1.55, 0.02, 0.4, 0.52),
+    ):
+        on_right_wall(
+            ahead, down, (picture_width + 0.07, picture_height + 0.07, 0.02), make_texture(62, 6)
+        )
+        on_right_wall(ahead, down, (picture_width, picture_height, 0.022), make_texture(135, 80))
     # Boxes on the floor.
     on_floor(1.55, 2.75, (0.5, 0.42, 0.4), 18)
     on_floor(-0.35, 2.6, (0.3, 0.24, 0.34), -35)
@@ -388,8 +402,8 @@ def _furniture(motion: Floats, width: int, seed: int) -> list[Box]:
 
 
 def wavelength_at(depth: float) -> float:
-    """Return the length of the finest wave without detail at a depth, m, for any image size."""
-    return _FINEST_WAVE * depth / _REFERENCE_WIDTH / FOCAL
+    """Return the shortest wavelength without detail at a depth, both m, for any image size."""
+    return _MIN_WAVELENGTH * depth / _REFERENCE_WIDTH / FOCAL
 
 
 def detail_for(width: int) -> int:
@@ -400,7 +414,7 @@ def detail_for(width: int) -> int:
 def expose(
     frame: NDArray, random: np.random.Generator, noise: float, blur: float, dtype: str
 ) -> NDArray:
-    """Return a frame, (H, W) float32, with blur and noise of these standard deviations."""
+    """Blur and add noise to a frame, (H, W) float32; `blur` and `noise` are standard deviations."""
     if blur:
         frame = cv2.GaussianBlur(frame, (0, 0), blur, borderType=cv2.BORDER_REPLICATE)
     frame = frame + np.float32(noise) * random.standard_normal(frame.shape, np.float32)

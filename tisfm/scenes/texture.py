@@ -1,4 +1,4 @@
-"""Paint for surfaces: marbled grey levels, a sum of octaves of band-limited noise."""
+"""Textures of surfaces: marbled grey levels, a sum of octaves of band-limited noise."""
 
 import math
 from dataclasses import dataclass
@@ -10,28 +10,25 @@ from numpy.typing import NDArray
 from tisfm.checks import Floats, check_finite, check_whole_numbers
 from tisfm.errors import InputError
 
-# The noise tile has TILE / SAMPLES_PER_WAVE waves along each side; octaves are rotated and shifted
-# copies of it. All strengths are set by hand.
-TILE = 512  # samples along each side of the tile
+# The noise tile has TILE_SIDE / SAMPLES_PER_WAVE waves along each side. Octaves are rotated and
+# shifted copies of the tile. All strengths are set by hand.
+TILE_SIDE = 512  # samples
 SAMPLES_PER_WAVE = 16
-OCTAVE_STRENGTHS = (
-    0.09,
-    0.16,
-    0.55,
-    0.85,
-)  # of the octaves from `wavelength` up, the last for all further
+# Strength of each octave, beginning with the shortest wave; all further octaves have the last
+# value.
+OCTAVE_STRENGTHS = (0.09, 0.16, 0.55, 0.85)
 DETAIL_EDGE = 0.09  # strength of an octave of detail at the edges of blotches
 DETAIL_INSIDE = 0.045  # strength of an octave of detail inside blotches
 
 
 @dataclass(frozen=True, kw_only=True)
 class Patch:
-    """A rectangle of one grey level painted over a texture.
+    """A rectangle of one grey level on a texture.
 
     Parameters
     ----------
     center : (float, float)
-        In the coordinates of the surface, in the scene's unit of length.
+        Centre in the coordinates of the surface, in the scene's unit of length.
     size : (float, float)
         Edge lengths, in the same unit.
     grey : float
@@ -63,29 +60,32 @@ class Patch:
             raise InputError(f"grey is {self.grey}: expected a grey level in [0, 255]")
 
     def covers(self, s: Floats, t: Floats) -> NDArray[np.bool_]:
-        """Return whether points of the surface, (n,) each, lie on it."""
-        across, down = np.abs(s - self.center[0]), np.abs(t - self.center[1])
-        return (across <= self.size[0] / 2) & (down <= self.size[1] / 2)
+        """Return whether points of the surface, s and t of shape (n,), lie in the rectangle."""
+        ds, dt = np.abs(s - self.center[0]), np.abs(t - self.center[1])
+        return (ds <= self.size[0] / 2) & (dt <= self.size[1] / 2)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Texture:
-    """Marbled paint: macro blotches with weak variation inside.
+    """Marbled grey levels: large blotches with weak variation inside.
 
     Parameters
     ----------
     wavelength : float
         Shortest wavelength without detail, in the scene's unit of length.
     octaves : int, default 5
-        Number of octaves; each doubles the wavelength. The first two are the weak variation.
+        Number of octaves; each octave has twice the wavelength of the octave before. The first two
+        are the weak variation.
     detail : int, default 0
-        Number of weak octaves added below; each halves the wavelength.
+        Number of additional weak octaves with shorter waves; each halves the wavelength.
     mean, contrast : float
-        Grey levels lie within mean ± contrast before shading. Detail may go somewhat beyond.
+        Grey levels lie within mean ± contrast before shading, except for small deviations by
+        detail.
     seed : int, default 0
-        Another seed gives another pattern.
+        Seed of the random pattern.
     patches : tuple of Patch
-        Parts without texture, later ones over earlier ones; a box has them on every face.
+        Parts without texture; later patches cover earlier patches. A box has the patches on every
+        face.
 
     Raises
     ------
@@ -119,82 +119,90 @@ class Texture:
             raise InputError(f"mean ± contrast is {span}: expected grey levels in [0, 255]")
 
     def _grey(self, s: Floats, t: Floats, footprint: Floats, face: int = 0) -> NDArray:
-        """Return the grey level, (n,) float32, at coordinates s, t of a face, (n,), length.
+        """Return the grey levels, (n,) float32, at coordinates s, t of a face, (n,), length.
 
-        A footprint, (n,), length, is the size of a pixel's patch of surface: a wave shorter than
-        two of them is left out, one longer than three is whole.
+        A footprint, (n,), length, is the size of a pixel on the surface. Waves shorter than two
+        footprints are left out; waves longer than three footprints have their full strength.
         """
-        draws = iter(_draws(self.seed, face, 2 + self.octaves + self.detail))
-        finest = footprint.min() if s.size else math.inf
+        draws = iter(_random_numbers(self.seed, face, 2 + self.octaves + self.detail))
+        min_footprint = footprint.min() if s.size else math.inf
 
-        def wave(at: tuple[Floats, Floats], octave: int) -> NDArray | float:
+        def wave(position: tuple[Floats, Floats], octave: int) -> NDArray | float:
             wavelength, draw = self.wavelength * 2.0**octave, next(draws)
-            if wavelength / finest <= 2:  # it is left out at every point
+            if wavelength / min_footprint <= 2:  # the wave is left out at every point
                 return 0.0
-            kept = np.clip(wavelength / footprint - 2, 0, 1).astype(np.float32)
+            fade = np.clip(wavelength / footprint - 2, 0, 1).astype(np.float32)
             strength = (
                 OCTAVE_STRENGTHS[min(octave, len(OCTAVE_STRENGTHS) - 1)] if octave >= 0 else 1.0
             )
-            return strength * kept * kept * (3 - 2 * kept) * _noise(*at, wavelength, draw)
+            return strength * fade * fade * (3 - 2 * fade) * _noise(*position, wavelength, draw)
 
-        # Bending the blotches by the longest wave gives the veins of marble.
-        longest = self.wavelength * 2 ** (self.octaves - 1)
-        bend = 0.05 * longest
-        bent = (
-            s + bend * _noise(s, t, longest, next(draws)),
-            t + bend * _noise(s, t, longest, next(draws)),
+        # A displacement of the blotches by the longest wave gives the veins of marble.
+        max_wavelength = self.wavelength * 2 ** (self.octaves - 1)
+        amplitude = 0.05 * max_wavelength
+        displaced_points = (
+            s + amplitude * _noise(s, t, max_wavelength, next(draws)),
+            t + amplitude * _noise(s, t, max_wavelength, next(draws)),
         )
-        blotches, fine = np.zeros((2, s.size), np.float32)
+        blotches, detail = np.zeros((2, s.size), np.float32)
         for octave in range(self.octaves):
-            blotches += wave((s, t) if octave < 2 else bent, octave)
-        # Drawn last, detail leaves the longer waves as they are.
+            blotches += wave((s, t) if octave < 2 else displaced_points, octave)
+        # The random numbers of detail are the last ones: detail does not change the longer waves.
         for octave in range(self.detail):
-            fine += wave((s, t), -1 - octave)
+            detail += wave((s, t), -1 - octave)
         # The soft limit flattens the inside of the blotches and bounds the range.
-        level = np.tanh(blotches + DETAIL_EDGE * fine) + DETAIL_INSIDE * fine
+        level = np.tanh(blotches + DETAIL_EDGE * detail) + DETAIL_INSIDE * detail
         grey = np.clip(np.float32(self.mean) + np.float32(self.contrast) * level, 0, 255)
         for patch in self.patches:
             grey[patch.covers(s, t)] = patch.grey
         return grey
 
-    def _plain(self, s: Floats, t: Floats) -> NDArray[np.bool_]:
-        """Return whether points, (n,) each, have a single grey level around them."""
-        plain = np.full(s.shape, self.contrast == 0)
+    def _is_plain(self, s: Floats, t: Floats) -> NDArray[np.bool_]:
+        """Return whether the surface has a single grey level around points s, t, (n,) each."""
+        is_plain = np.full(s.shape, self.contrast == 0)
         for patch in self.patches:
-            plain |= patch.covers(s, t)
-        return plain
+            is_plain |= patch.covers(s, t)
+        return is_plain
 
 
 @lru_cache(maxsize=256)
-def _draws(seed: int, face: int, count: int) -> Floats:
+def _random_numbers(seed: int, face: int, count: int) -> Floats:
     """Return the random numbers of octaves, (count, 3): angle, rad, and shifts, samples."""
     random = np.random.default_rng([seed, face])
-    return random.uniform(0, 1, (count, 3)) * (2 * math.pi, TILE, TILE)
+    return random.uniform(0, 1, (count, 3)) * (2 * math.pi, TILE_SIDE, TILE_SIDE)
 
 
 def _noise(s: Floats, t: Floats, wavelength: float, draw: Floats) -> NDArray:
-    """Look up one octave of noise, unit variance, turned and shifted as drawn."""
+    """Return one octave of noise of unit variance, rotated and shifted by random numbers."""
     angle, *shift = draw
-    across = math.cos(angle) * SAMPLES_PER_WAVE / wavelength
-    along = math.sin(angle) * SAMPLES_PER_WAVE / wavelength
-    column = across * s - along * t + shift[0]
-    row = along * s + across * t + shift[1]
+    cos = math.cos(angle) * SAMPLES_PER_WAVE / wavelength  # samples per length
+    sin = math.sin(angle) * SAMPLES_PER_WAVE / wavelength
+    column = cos * s - sin * t + shift[0]
+    row = sin * s + cos * t + shift[1]
     left, top = np.floor(column), np.floor(row)
-    index = (top.astype(np.int64) % TILE) * TILE + left.astype(np.int64) % TILE
-    corner = _tile().take(index, axis=0)
+    index = (top.astype(np.int64) % TILE_SIDE) * TILE_SIDE + left.astype(np.int64) % TILE_SIDE
+    coefficients = _tile().take(index, axis=0)
     dx, dy = (column - left).astype(np.float32), (row - top).astype(np.float32)
-    return corner[:, 0] + dx * corner[:, 1] + dy * (corner[:, 2] + dx * corner[:, 3])
+    return (
+        coefficients[:, 0]
+        + dx * coefficients[:, 1]
+        + dy * (coefficients[:, 2] + dx * coefficients[:, 3])
+    )
 
 
 @lru_cache(maxsize=1)
 def _tile() -> NDArray:
-    """Return a periodic octave of noise as coefficients of bilinear interpolation, (TILE², 4)."""
-    white = np.random.default_rng(2007).standard_normal((TILE, TILE))
-    frequency = np.fft.fftfreq(TILE) * SAMPLES_PER_WAVE
-    radius = np.hypot(frequency[:, None], frequency)
-    wave = np.fft.ifft2(np.fft.fft2(white) * ((radius > 0.7) & (radius < 1.3))).real
-    wave /= wave.std()
-    east, south = np.roll(wave, -1, axis=1), np.roll(wave, -1, axis=0)
+    """Return periodic noise as coefficients of bilinear interpolation, (TILE_SIDE², 4)."""
+    white_noise = np.random.default_rng(2007).standard_normal((TILE_SIDE, TILE_SIDE))
+    frequency = np.fft.fftfreq(TILE_SIDE) * SAMPLES_PER_WAVE  # 1: frequency of the mean wave
+    radial_frequency = np.hypot(frequency[:, None], frequency)
+    noise = np.fft.ifft2(
+        np.fft.fft2(white_noise) * ((radial_frequency > 0.7) & (radial_frequency < 1.3))
+    ).real
+    noise /= noise.std()
+    east, south = np.roll(noise, -1, axis=1), np.roll(noise, -1, axis=0)
     south_east = np.roll(east, -1, axis=0)
-    coefficients = np.stack([wave, east - wave, south - wave, south_east - east - south + wave], -1)
+    coefficients = np.stack(
+        [noise, east - noise, south - noise, south_east - east - south + noise], -1
+    )
     return coefficients.reshape(-1, 4).astype(np.float32)
