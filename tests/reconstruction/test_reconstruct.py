@@ -396,7 +396,7 @@ def test_camera_at_rest_has_status_no_motion(film):
         ({"poses": along(3)}, ValueError, "poses are 3"),
         ({"poses": along(9), "bad_frames": "skip"}, ValueError, "skip"),
         ({"depth_of": "some"}, ValueError, "'some': expected"),
-        ({"poses": along(9), "depth_of": "none"}, ValueError, "nothing to find"),
+        ({"poses": along(9), "depth_of": "none"}, ValueError, "nothing is left"),
     ],
 )  # fmt: skip
 def test_wrong_arguments_are_refused(film, changes, error, text):

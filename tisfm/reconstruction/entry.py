@@ -139,9 +139,9 @@ def reconstruct(
         If the source does not exist, has fewer than two frames, or a frame cannot be read; if a
         camera file is invalid, or belongs to frames of another shape; if poses are not rigid,
         (N, 4, 4), and as many as frames, or no pose is near a frame in time; if labels or sizes are
-        given without ``motion="objects"``; if labels are not numbers from 0 to 255 or have another
-        size than the frames, or masks may be labels or not; if a size is not positive, or no moving
-        object has its id.
+        given without ``motion="objects"``; if labels are not numbers from 0 to 255, or have another
+        size than the frames; if it is unclear whether masks are labels; if the length of an object
+        is not positive, or no moving object has its id.
 
     Examples
     --------
@@ -171,12 +171,14 @@ def reconstruct(
     if depth_of not in get_args(DepthOf):
         raise InputError(f'depth_of is {depth_of!r}: expected "all", "keyframes" or "none"')
     if depth_of == "none" and poses is not None:
-        raise InputError('poses are given and depth_of="none": there is nothing to find')
-    given = None if poses is None else as_trajectory(poses)
+        raise InputError(
+            'poses are given and depth_of="none": nothing is left to compute; leave one of them out'
+        )
+    trajectory = None if poses is None else as_trajectory(poses)
     mask, labels = _mask_and_labels(mask, labels, settings)
-    of_result = find_result_labels(labels, source)
-    sizes = checked_object_sizes(object_sizes)
-    if sizes and settings.motion != "objects":
+    result_labels = find_result_labels(labels, source)
+    lengths = checked_object_sizes(object_sizes)
+    if lengths and settings.motion != "objects":
         raise InputError(
             f'object_sizes are given and motion is "{settings.motion}": expected motion="objects"'
         )
@@ -188,28 +190,31 @@ def reconstruct(
         size=size,
         crop=crop,
         mask=mask,
-        labels=labels if of_result is None else of_result.files,
+        labels=labels if result_labels is None else result_labels.files,
         bad_frames=bad_frames,
     )
     warn_notes(frames.notes)
-    if given is not None and bad_frames == "skip":
+    if trajectory is not None and bad_frames == "skip":
         raise InputError(
             'poses are given and bad_frames="skip": poses would not fit the remaining frames'
         )
-    if given is not None and frames.times is not None:  # before the long computation
-        poses_of_frames(given, frames.times)
-    elif given is not None and given.times is None and frames.count is not None:
-        check_pose_count(len(given.poses), len(frames) + 1)
-    camera, stated = resolve_camera(camera)
-    if calibrate == "radial" and stated is not None and stated.distortion is not None:
-        raise InputError('the camera has distortion, which calibrate="radial" is to find: drop it')
-    if calibrate == "focal" and stated is not None and stated.is_tilted:
+    if trajectory is not None and frames.times is not None:  # checked before the long computation
+        poses_of_frames(trajectory, frames.times)
+    elif trajectory is not None and trajectory.times is None and frames.count is not None:
+        check_pose_count(len(trajectory.poses), len(frames) + 1)
+    camera, known_camera = resolve_camera(camera)
+    if calibrate == "radial" and known_camera is not None and known_camera.distortion is not None:
         raise InputError(
-            'camera has the distortion of a tilted sensor and calibrate="focal": it fits no other '
-            "focal length; leave out the last two coefficients"
+            'the camera has distortion, but calibrate="radial" estimates it: give a camera without '
+            'distortion, or use calibrate="focal"'
         )
-    if of_result is not None:
-        of_result.check(stated, calibrate)
+    if calibrate == "focal" and known_camera is not None and known_camera.is_tilted:
+        raise InputError(
+            'camera has the distortion of a tilted sensor and calibrate="focal": this distortion '
+            "fits one focal length only; leave out the last two coefficients"
+        )
+    if result_labels is not None:
+        result_labels.check(known_camera, calibrate)
     if folder is not None:
         files = [camera_file_path(camera)] if isinstance(camera, Path) else []
         refuse_inputs_inside([*frames.files, *files], Path(folder))
@@ -229,11 +234,12 @@ def reconstruct(
                     camera=camera,
                     calibrate=calibrate,
                     settings=settings,
-                    poses=given,
+                    poses=trajectory,
                     folder=path,
                     depth_of=depth_of,
-                    object_sizes=sizes,
-                    are_labels_prepared=of_result is not None and of_result.camera is not None,
+                    object_sizes=lengths,
+                    are_labels_prepared=result_labels is not None
+                    and result_labels.camera is not None,
                 )
                 if progress is not None:
                     job = replace(job, progress=progress)
@@ -242,17 +248,17 @@ def reconstruct(
                 shutil.rmtree(path / CACHE, ignore_errors=True)
     except BaseException:
         if temporary is not None:
-            temporary.remove()  # now: an error that is kept would keep the folder
+            temporary.remove()  # at once, since a stored exception would keep the folder alive
         raise
     return result if temporary is None else replace(result, _temporary=temporary)
 
 
 def refuse_inputs_inside(files: Iterable[Path], folder: Path) -> None:
-    """Refuse an output folder that holds an input file: the file might be overwritten."""
-    place = folder.resolve()
+    """Refuse an output folder that contains an input file, which might be overwritten."""
+    resolved_folder = folder.resolve()
     for file in files:
-        if place in file.resolve().parents:
-            raise InputError(f"{file} lies in {folder}, which is written to: give another folder")
+        if resolved_folder in file.resolve().parents:
+            raise InputError(f"{file} lies in {folder}, the output folder: give another folder")
 
 
 def _mask_and_labels(
@@ -332,9 +338,11 @@ def as_trajectory(poses: npt.ArrayLike | Trajectory) -> Trajectory:
         if not np.isfinite(pose).all():
             array[number] = np.nan
             continue
-        turn = pose[:3, :3]
-        rigid = np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) and np.linalg.det(turn) > 0
-        if not rigid or not np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6):
+        rotation = pose[:3, :3]
+        is_rigid = (
+            np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) and np.linalg.det(rotation) > 0
+        )
+        if not is_rigid or not np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6):
             raise InputError(
                 f"poses[{number}] is {pose.tolist()}: expected a rotation and a translation over "
                 "the row (0, 0, 0, 1)"

@@ -1,6 +1,6 @@
 """The pipeline of a whole sequence: read → track → solve → depth → write.
 
-Each stage is a function that takes the frozen results of earlier stages and returns its own result:
+Each stage is a function. It takes the frozen results of earlier stages, and returns its own result:
 `read_frames` (which tracks each frame while the next one is read), `solve_path`, `find_depth` and
 `write_result`. Prepared frames and depth are too large for memory: they lie in the folder.
 """
@@ -64,7 +64,7 @@ class Job:
     source: FrameSource
     # camera of the frames of the source, or its file; None for a guess
     camera: Camera | Path | None
-    calibrate: Calibrate  # the part of the camera that is found from the frames
+    calibrate: Calibrate  # the part of the camera that is estimated from the frames
     settings: Settings
     poses: Trajectory | None  # given poses
     folder: Path  # folder of the result, ready to be written to
@@ -82,7 +82,7 @@ class Job:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReadFrames:
+class ReadingResult:
     """The frames of a sequence after the reading stage."""
 
     names: tuple[str, ...]
@@ -90,27 +90,27 @@ class ReadFrames:
     # (N,) array: times of the frames, in intervals between frames of the source
     instants: np.ndarray
     camera: SourceCamera
-    # later stages correct them for the estimated lens and readout, and label them
+    # later stages correct these frames for the estimated lens and readout, and label them
     frames: PreparedFrames
-    # none with moving objects: then static points are tracked later, with known labels
+    # None with moving objects: static points are tracked later, when labels are known
     tracks: SequenceTracks | None
-    # the search for moving objects; None if there are none, or labels are given
+    # the search for moving objects; None without moving objects, or with given labels
     labels: SequenceLabels | None
-    labelled: tuple[int, ...]  # frames with given labels
+    labelled_frames: tuple[int, ...]  # frames with given labels
     notes: tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
-class SolvedPath:
-    """The camera path, and the camera of full frames that was estimated with it."""
+class PathResult:
+    """The camera path, and the camera that was estimated with the path."""
 
     path: CameraPath
-    camera: Camera
+    camera: Camera  # camera of the frames of the source, before crop and reduction
 
 
 @dataclass(frozen=True, kw_only=True)
-class FoundDepth:
-    """Poses in the unit of depth, after depth was written."""
+class DepthResult:
+    """Poses in the unit of depth, after the depth of all frames was written."""
 
     poses: np.ndarray  # (N, 4, 4) float64: camera to world; NaN for a frame without a pose
     piece: np.ndarray  # (N,) int32: the piece of each frame, −1 for none
@@ -120,24 +120,24 @@ class FoundDepth:
 
 def reconstruct_sequence(job: Job) -> Reconstruction:
     """Run all stages."""
-    read = read_frames(job)
-    solved = solve_path(job, read)
-    calibration = _calibration(job, read, solved)
-    depth = find_depth(job, read, solved.path)
-    return write_result(job, read, solved, calibration, depth)
+    reading = read_frames(job)
+    path_result = solve_path(job, reading)
+    calibration = _calibration(job, reading, path_result)
+    depth = find_depth(job, reading, path_result.path)
+    return write_result(job, reading, path_result, calibration, depth)
 
 
-def read_frames(job: Job) -> ReadFrames:
-    """Read and prepare all frames once; each is tracked while the next one is read."""
+def read_frames(job: Job) -> ReadingResult:
+    """Read and prepare all frames once; track each frame while the next frame is read."""
     names: list[str] = []
     times: list[float | None] = []
     indices: list[int] = []
-    labelled: list[int] = []
+    labelled_frames: list[int] = []
     tracker: SequenceTracker | None = None
     labels: SequenceLabels | None = None
-    source, total = job.source, _count(job.source)
-    with closing(source.frames()) as incoming:
-        for frame in incoming:
+    source, total = job.source, _frame_count(job.source)
+    with closing(source.frames()) as source_frames:
+        for frame in source_frames:
             if not names:
                 camera = SourceCamera.from_first_frame(source, job.camera, frame)
                 frames = PreparedFrames(
@@ -147,7 +147,7 @@ def read_frames(job: Job) -> ReadFrames:
                     are_labels_prepared=job.are_labels_prepared,
                 )
                 if not job.has_objects:
-                    tracker = _tracker(job, frames.camera, job.calibrate)
+                    tracker = _make_tracker(job, frames.camera, job.calibrate)
                 elif not source.has_labels:
                     labels = SequenceLabels(frames.camera)
             grey, ignored = frames.add(frame)
@@ -156,7 +156,7 @@ def read_frames(job: Job) -> ReadFrames:
             elif tracker is not None:
                 tracker.add(grey, ignored)
             if frame.labels is not None:
-                labelled.append(len(names))
+                labelled_frames.append(len(names))
             names.append(frame.name)
             times.append(frame.time)
             indices.append(frame.index)
@@ -174,96 +174,106 @@ def read_frames(job: Job) -> ReadFrames:
     if note := times_note(times):
         notes.append(note)
         warn_notes([note], stacklevel=4)
-    return ReadFrames(
-        names=_distinct(names),
+    return ReadingResult(
+        names=_distinct_names(names),
         times=tuple(times),
         instants=frame_instants(indices, times),
         camera=camera,
         frames=frames,
         tracks=None if tracker is None else tracker.finish(),
         labels=labels,
-        labelled=tuple(labelled),
+        labelled_frames=tuple(labelled_frames),
         notes=tuple(notes),
     )
 
 
-def solve_path(job: Job, read: ReadFrames) -> SolvedPath:
-    """Find or take the camera path; correct frames for the estimated lens and readout.
+def solve_path(job: Job, reading: ReadingResult) -> PathResult:
+    """Find the camera path, or use given poses; correct frames for the estimated lens and readout.
 
     With moving objects, every frame is labelled as well.
     """
-    frames, full = read.frames, read.camera.full_camera
+    frames, full_camera = reading.frames, reading.camera.full_camera
 
     def correct(path: CameraPath) -> None:
-        nonlocal full
+        nonlocal full_camera
         if path.focal is not None:
-            full = full.with_focal(full.focal * path.camera.focal / frames.camera.focal)
-            full = replace(full, distortion=path.camera.distortion or full.distortion)
+            full_camera = full_camera.with_focal(
+                full_camera.focal * path.camera.focal / frames.camera.focal
+            )
+            full_camera = replace(
+                full_camera, distortion=path.camera.distortion or full_camera.distortion
+            )
         if path.rolling is not None:
-            full = replace(full, readout=read.camera.full_readout(path.rolling.readout))
+            full_camera = replace(
+                full_camera, readout=reading.camera.full_readout(path.rolling.readout)
+            )
         frames.correct(path.camera, path.rolling)
 
-    def path_of_static(calibrate: Calibrate | None) -> CameraPath:
-        tracker = _tracker(job, frames.camera, calibrate or job.calibrate)
+    def solve_static_path(calibrate: Calibrate | None) -> CameraPath:
+        tracker = _make_tracker(job, frames.camera, calibrate or job.calibrate)
         for number in range(frames.count):
             tracker.add(*frames.tracker_input(number), frames.flow(number))
-        return _path(job, read, tracker.finish(), calibrate or job.calibrate)
+        return _solve_or_take_path(job, reading, tracker.finish(), calibrate or job.calibrate)
 
-    if read.tracks is not None:
-        path = _path(job, read, read.tracks, job.calibrate)
+    if reading.tracks is not None:
+        path = _solve_or_take_path(job, reading, reading.tracks, job.calibrate)
         correct(path)
     else:
-        if read.labels is None:
-            _label_all(job, read)
-        path = find_static_path(frames, read.labels, path_of_static, correct)
+        if reading.labels is None:
+            _label_all_frames(job, reading)
+        path = find_static_path(frames, reading.labels, solve_static_path, correct)
         refuse_unknown_ids(job.object_sizes, frames.object_ids())
-    job.progress("path", len(read.names), len(read.names))
-    return SolvedPath(path=path, camera=full)
+    job.progress("path", len(reading.names), len(reading.names))
+    return PathResult(path=path, camera=full_camera)
 
 
-def find_depth(job: Job, read: ReadFrames, path: CameraPath) -> FoundDepth:
+def find_depth(job: Job, reading: ReadingResult, path: CameraPath) -> DepthResult:
     """Find and write the depth of frames, piece by piece; poses get the unit of the depth."""
-    count = len(read.names)
+    count = len(reading.names)
     poses = np.full((count, 4, 4), np.nan)
     pieces = np.full(count, -1, np.int32)
     status: list[Status] = [Status("converged")] * count
-    for frame, why in path.missing.items():
-        status[frame] = why
+    for frame, reason in path.missing.items():
+        status[frame] = reason
     keyframes: list[int] = []
     done = 0
     for number, piece in enumerate(path.pieces):
-        piece = _adjust_poses(job, read.frames, piece, path.observations)
-        kinds, unit = _piece_depth(job, read.frames, piece, path.observations, done)
-        unseen = job.depth_of == "keyframes" and not kinds
+        piece = _adjust_poses(job, reading.frames, piece, path.observations)
+        kinds, unit = _piece_depth(job, reading.frames, piece, path.observations, done)
+        is_without_depth = job.depth_of == "keyframes" and not kinds
         done += len(piece.poses)
         keyframes += [frame for frame, kind in kinds.items() if kind == "keyframe"]
-        world = np.eye(4) if job.poses is not None else piece.poses[min(piece.poses)]
+        origin = np.eye(4) if job.poses is not None else piece.poses[min(piece.poses)]
         for frame, pose in piece.poses.items():
-            poses[frame], pieces[frame] = np.linalg.solve(world, pose), number
+            poses[frame], pieces[frame] = np.linalg.solve(origin, pose), number
             poses[frame, :3, 3] /= unit
-            if frame not in kinds and (job.depth_of == "all" or unseen):
+            if frame not in kinds and (job.depth_of == "all" or is_without_depth):
                 status[frame] = NO_PARALLAX
         if number > 0:
             first = min(piece.poses)
             status[first] = add_piece_note(status[first])
-    return FoundDepth(
+    return DepthResult(
         poses=poses, piece=pieces, status=tuple(status), keyframes=tuple(sorted(keyframes))
     )
 
 
 def write_result(
-    job: Job, read: ReadFrames, solved: SolvedPath, calibration: Calibration, depth: FoundDepth
+    job: Job,
+    reading: ReadingResult,
+    path_result: PathResult,
+    calibration: Calibration,
+    depth: DepthResult,
 ) -> Reconstruction:
     """Write the camera, moving objects with their depth, and at last the record."""
     about = as_json(calibration)
     del about["shape"]  # the file has width and height
-    write_camera(job.folder / CAMERA, solved.camera, read.camera.shape, about=about)
+    write_camera(job.folder / CAMERA, path_result.camera, reading.camera.shape, about=about)
     objects: tuple[MovingObject, ...] = ()
     if job.has_objects:
         from tisfm.reconstruction.objects.object_depth import objects_with_depth
 
         objects = objects_with_depth(
-            read.frames,
+            reading.frames,
             job.folder,
             depth.poses,
             depth.piece,
@@ -274,17 +284,17 @@ def write_result(
     result = Reconstruction(
         poses=depth.poses,
         piece=depth.piece,
-        unit=(1.0,) * len(solved.path.pieces),
+        unit=(1.0,) * len(path_result.path.pieces),
         status=depth.status,
         keyframes=depth.keyframes,
-        camera=read.frames.camera,
+        camera=reading.frames.camera,
         calibration=calibration,
         settings=job.settings,
-        names=read.names,
-        times=read.times,
+        names=reading.names,
+        times=reading.times,
         skipped=tuple(job.source.skipped),
-        notes=read.notes,
-        shape=read.frames.shape,
+        notes=reading.notes,
+        shape=reading.frames.shape,
         folder=job.folder,
         version=__version__,
         objects=objects,
@@ -293,17 +303,19 @@ def write_result(
     return result
 
 
-def _tracker(job: Job, camera: Camera, calibrate: Calibrate) -> SequenceTracker:
+def _make_tracker(job: Job, camera: Camera, calibrate: Calibrate) -> SequenceTracker:
     return SequenceTracker(
         camera, is_focal_known=calibrate == "nothing", selects_views=job.poses is None
     )
 
 
-def _path(job: Job, read: ReadFrames, tracks: SequenceTracks, calibrate: Calibrate) -> CameraPath:
-    """Return the path that tracks show, or the given path with points of tracks."""
-    camera = read.frames.camera
+def _solve_or_take_path(
+    job: Job, reading: ReadingResult, tracks: SequenceTracks, calibrate: Calibrate
+) -> CameraPath:
+    """Return the path from tracks, or the given path with triangulated tracks."""
+    camera = reading.frames.camera
     if job.poses is not None:
-        return given_path(tracks, job.poses, camera, read.times, read.instants)
+        return given_path(tracks, job.poses, camera, reading.times, reading.instants)
     readout = camera.readout
     if job.has_objects:  # a known readout is corrected, an unknown one is not estimated
         readout = readout or 0.0
@@ -311,34 +323,35 @@ def _path(job: Job, read: ReadFrames, tracks: SequenceTracks, calibrate: Calibra
         tracks=tracks,
         camera=camera,
         calibrate=calibrate,
-        max_deviation=read.camera.max_focal_deviation,
+        max_deviation=reading.camera.max_focal_deviation,
         readout=readout,
-        is_focal_known=job.calibrate == "nothing" and read.camera.is_focal_known,
+        is_focal_known=job.calibrate == "nothing" and reading.camera.is_focal_known,
     )
-    return solver.solve(read.instants)
+    return solver.solve(reading.instants)
 
 
-def _label_all(job: Job, read: ReadFrames) -> None:
+def _label_all_frames(job: Job, reading: ReadingResult) -> None:
     """Label the frames without given labels, from the frames with given labels."""
-    if not read.labelled:
+    if not reading.labelled_frames:
         raise InputError(
             f"labels has no labels for a selected frame of {job.source.title}: expected labels "
             "for at least one"
         )
-    label_remaining_frames(read.frames, read.labelled)
-    refuse_unknown_ids(job.object_sizes, read.frames.object_ids())  # before the long computation
+    label_remaining_frames(reading.frames, reading.labelled_frames)
+    refuse_unknown_ids(job.object_sizes, reading.frames.object_ids())  # before the long computation
 
 
-def _calibration(job: Job, read: ReadFrames, solved: SolvedPath) -> Calibration:
+def _calibration(job: Job, reading: ReadingResult, path_result: PathResult) -> Calibration:
     """Return the origin and uncertainty of the camera; warn if it is unreliable."""
-    rolling = solved.path.rolling
-    is_found = rolling is not None and bool(rolling.deviation)  # a given readout has deviation 0
-    calibration = read.camera.calibration(
-        solved.path.focal,
-        read.frames.camera,
+    rolling = path_result.path.rolling
+    # A given readout has deviation 0.
+    is_readout_estimated = rolling is not None and bool(rolling.deviation)
+    calibration = reading.camera.calibration(
+        path_result.path.focal,
+        reading.frames.camera,
         is_estimated=job.calibrate != "nothing",
-        focal=solved.camera.focal,
-        readout=(rolling.readout, rolling.deviation) if rolling and is_found else None,
+        focal=path_result.camera.focal,
+        readout=(rolling.readout, rolling.deviation) if rolling and is_readout_estimated else None,
     )
     if not calibration.seen:
         warnings.warn(calibration.message, GuessedFocalWarning, stacklevel=4)
@@ -346,34 +359,36 @@ def _calibration(job: Job, read: ReadFrames, solved: SolvedPath) -> Calibration:
 
 
 def _adjust_poses(
-    job: Job, frames: PreparedFrames, piece: Piece, seen: Sequence[Observations]
+    job: Job, frames: PreparedFrames, piece: Piece, observations: Sequence[Observations]
 ) -> Piece:
-    """Return a piece; its poses are adjusted to the images if the settings ask for accuracy."""
+    """Return the piece with poses adjusted to the images, if the settings ask for accuracy."""
     from tisfm.reconstruction.depth.pose_adjustment import adjust_poses
     from tisfm.reconstruction.depth.segment_depth import PieceDepths, depth_effort
 
     if job.poses is not None or depth_effort(job.settings) != "accurate":
         return piece
-    windows = PieceDepths(frames, piece, seen, job.settings, effort="fast").keyframe_windows()
+    windows = PieceDepths(
+        frames, piece, observations, job.settings, effort="fast"
+    ).keyframe_windows()
     poses = adjust_poses(piece.poses, windows, frames.grey, frames.camera, job.settings)
     return replace(piece, poses=poses)
 
 
 def _piece_depth(
-    job: Job, frames: PreparedFrames, piece: Piece, seen: Sequence[Observations], done: int
+    job: Job, frames: PreparedFrames, piece: Piece, observations: Sequence[Observations], done: int
 ) -> tuple[dict[int, str], float]:
     """Write the depth of a piece's frames; return the kind of each frame, and the unit.
 
     The kind is "keyframe" or "between". `done` is the number of frames of earlier pieces.
     """
     if job.depth_of == "none":
-        return {}, median_track_depth(piece, seen)
+        return {}, median_track_depth(piece, observations)
     from tisfm.reconstruction.depth.segment_depth import PieceDepths, depth_effort, median_depth
 
     depths = PieceDepths(
         frames,
         piece,
-        seen,
+        observations,
         job.settings,
         effort=depth_effort(job.settings),
         written_until=max(piece.poses) if job.depth_of == "keyframes" else -1,
@@ -385,16 +400,16 @@ def _piece_depth(
             unit = median_depth(depth.inverse_depth)
         write_depth(job.folder, depth.frame, depth.inverse_depth * unit, depth.deviation * unit)
         kinds[depth.frame] = "keyframe" if depth.frame in depths.keyframes else "between"
-        job.progress("depth", done + len(kinds), len(seen))
+        job.progress("depth", done + len(kinds), len(observations))
     if not kinds and job.poses is None:
-        unit = median_track_depth(piece, seen)
+        unit = median_track_depth(piece, observations)
     return kinds, unit
 
 
-def median_track_depth(piece: Piece, seen: Sequence[Observations]) -> float:
-    """Return the median depth of tracks in the first frame with tracks of a piece; 1 if none."""
+def median_track_depth(piece: Piece, observations: Sequence[Observations]) -> float:
+    """Return the median depth of tracks in the first frame of a piece with tracks, or 1."""
     for frame, pose in piece.poses.items():
-        _, depths = track_depths(seen[frame], piece.points, pose)
+        _, depths = track_depths(observations[frame], piece.points, pose)
         if len(depths):
             return float(np.median(depths))
     return 1.0
@@ -411,16 +426,16 @@ def remove_piece_note(status: Status) -> Status:
     return Status(str(status), status.message.removesuffix(NEW_PIECE_NOTE).removesuffix("; "))
 
 
-def _count(source: FrameSource) -> int | None:
+def _frame_count(source: FrameSource) -> int | None:
     try:
         return len(source) + 1
     except TypeError:
         return None
 
 
-def _distinct(names: Iterable[str]) -> tuple[str, ...]:
-    """Return the names, with a number before each if two names are equal."""
-    listed = list(names)
-    if len(set(listed)) == len(listed):
-        return tuple(listed)
-    return tuple(f"{k:06d}_{name}" for k, name in enumerate(listed))
+def _distinct_names(names: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of frames, with a number before each name if two names are equal."""
+    all_names = list(names)
+    if len(set(all_names)) == len(all_names):
+        return tuple(all_names)
+    return tuple(f"{k:06d}_{name}" for k, name in enumerate(all_names))

@@ -1,8 +1,9 @@
 """The focal length of an unknown camera, estimated together with the camera path.
 
 The adjustment starts from several focal lengths, since it ends in the nearest local minimum. The
-result that explains most matches of views counts. Its uncertainty comes from parts of the model,
-each adjusted from another focal length: if the motion does not show the focal length, they differ.
+result that explains most matches of views is used. Its uncertainty comes from parts of the model,
+each adjusted from another focal length. If the motion does not show the focal length, the focal
+lengths of the parts differ.
 """
 
 import copy
@@ -34,14 +35,15 @@ def find_models_and_focal(
     shape: tuple[int, int],
     calibrate: Calibrate,  # ``"radial"`` estimates a radial coefficient too
     *,
-    # share of the focal length: an estimate with a larger standard deviation is no better than the
-    # guess
+    # largest standard deviation of an estimate that replaces the guess, as a share of the focal
+    # length
     max_deviation: float,
 ) -> tuple[list[Model], FocalEstimate | None]:
     """Find poses of views, points of tracks, and the focal length that fits them best.
 
-    Returns models with the estimated focal length, or with the guess if the guess is as good; and
-    the estimate, None if no focal length leads to a path, or if few views show parallax with it.
+    Returns models and the estimate. The models have the estimated focal length, or the guess if the
+    guess is as good. The estimate is None if no focal length leads to a path, or if few views show
+    parallax with the estimated focal length.
     """
     graph = ViewGraph.from_views(views, matches, shape, is_focal_known=False)
     start_focal = _find_start_focal(graph, camera, calibrate)
@@ -54,14 +56,14 @@ def find_models_and_focal(
     estimate = replace(estimate, max_deviation=max_deviation)
     if not estimate.is_useful:
         return find_models(views, matches, camera, shape, is_focal_known=False), estimate
-    lens = estimate.apply_to(camera)
-    if not estimate.radial and not graph.shows_parallax(lens):
+    estimated_camera = estimate.apply_to(camera)
+    if not estimate.radial and not graph.shows_parallax(estimated_camera):
         return [], None
     if not estimate.is_certain and not estimate.radial:
         # A rotation seen with a wrong focal length may look like a path. Such a path does not
         # appear again if models start with the estimated focal length: then there is no path. New
-        # models may be bent too: they count only with a good score.
-        new_models = find_models(views, matches, lens, shape, is_focal_known=False)
+        # models may be bent too: they are used only with a good score.
+        new_models = find_models(views, matches, estimated_camera, shape, is_focal_known=False)
         score = graph.score(reconstructions) * graph.match_count()
         if (
             not new_models
@@ -72,16 +74,20 @@ def find_models_and_focal(
         _set_focal(model, estimate.focal, estimate.radial)
         _adjust(model, "nothing")
     undistorted_views = [
-        replace(view, observations=undistort_observations(view.observations, lens, shape))
+        replace(
+            view, observations=undistort_observations(view.observations, estimated_camera, shape)
+        )
         for view in views
     ]
-    return graph.make_models(reconstructions, undistorted_views, lens.pinhole()), estimate
+    return graph.make_models(
+        reconstructions, undistorted_views, estimated_camera.pinhole()
+    ), estimate
 
 
 def undistort_observations(
     observations: Observations, lens: Camera, shape: tuple[int, int]
 ) -> Observations:
-    """Return where a pinhole would see the tracks; tracks outside the frame are left out."""
+    """Return the tracks as a pinhole would see them; tracks outside the frame are left out."""
     if lens.is_pinhole or not len(observations.points):
         return observations
     height, width = shape
@@ -91,7 +97,7 @@ def undistort_observations(
 
 
 def undistort_points(points: np.ndarray, lens: Camera, shape: tuple[int, int]) -> np.ndarray:
-    """Return where a pinhole would see points, (N, 2), px."""
+    """Return points, (N, 2) px, at the positions where a pinhole would see them."""
     if lens.is_pinhole or not len(points):
         return points
     cx, cy = lens.center_for(*shape)
@@ -118,7 +124,7 @@ def _estimate_focal(
     focals = np.array([part_focal for part_focal, _ in parts])
     if not all(map(_is_possible, focals)):
         return _guess_estimate(camera)
-    # If the data do not determine the focal length, the adjustment leaves the start value.
+    # If the data do not determine the focal length, the adjustment hardly changes the start value.
     min_change = CALIBRATION.min_relative_change * math.log(CALIBRATION.part_start_factor)
     is_unchanged = np.abs(np.log(focals / starts)) < min_change
     if is_unchanged.sum() > len(parts) / 2:
@@ -127,13 +133,13 @@ def _estimate_focal(
     deviation, radial_deviation = CALIBRATION.spread_to_deviation * np.sqrt(
         np.mean(errors**2, axis=0)
     )
-    change = 0.0 if calibrate == "radial" else _log_focal_change(model)
+    log_change = 0.0 if calibrate == "radial" else _log_focal_change(model)
     return FocalEstimate(
         focal=focal,
-        deviation=focal * math.hypot(deviation, change),
+        deviation=focal * math.hypot(deviation, log_change),
         radial=radial,
         radial_deviation=float(radial_deviation),
-        shows_distortion=abs(change) > max(CALIBRATION.min_log_focal_change, deviation),
+        shows_distortion=abs(log_change) > max(CALIBRATION.min_log_focal_change, deviation),
     )
 
 
@@ -142,7 +148,7 @@ def _guess_estimate(guess: Camera) -> FocalEstimate:
 
 
 def _is_possible(focal: float) -> bool:
-    """Return whether a camera may have this focal length: an adjustment has no bounds."""
+    """Return whether a camera may have this focal length, px: an adjustment has no bounds."""
     return MIN_FOCAL <= focal <= MAX_FOCAL
 
 
@@ -161,28 +167,28 @@ def _log_focal_change(model: Any) -> float:
 def _grow_models(
     graph: ViewGraph, camera: Camera, start_focal: float, calibrate: Calibrate
 ) -> list[Any]:
-    """Return reconstructions from a focal length, or from another if they explain too little.
+    """Return reconstructions from a focal length, or from another one if they explain too little.
 
     The start value may come from windows whose models are bent, for example where the camera
     follows a moving object.
     """
-    best = graph.grow_models(replace(camera, focal=start_focal), calibrate)
-    if best and graph.score(best) >= CALIBRATION.min_shape_score:
-        return best
+    best_models = graph.grow_models(replace(camera, focal=start_focal), calibrate)
+    if best_models and graph.score(best_models) >= CALIBRATION.min_shape_score:
+        return best_models
     for factor in CALIBRATION.start_factors:
         candidates = graph.grow_models(replace(camera, focal=factor * camera.focal), calibrate)
         if (
             candidates
-            and graph.score(candidates) > graph.score(best)
+            and graph.score(candidates) > graph.score(best_models)
             and _is_possible(_focal_and_radial(candidates[0])[0])
         ):
-            best = candidates
-    return best
+            best_models = candidates
+    return best_models
 
 
 def _find_start_focal(graph: ViewGraph, camera: Camera, calibrate: Calibrate) -> float | None:
     """Return the focal length, px, that explains the matches in windows of views best."""
-    best, best_score = None, 0.0
+    best_focal, best_score = None, 0.0
     for factor in CALIBRATION.start_factors:
         score, focals = 0.0, []
         for window in _comparison_windows(graph):
@@ -191,8 +197,8 @@ def _find_start_focal(graph: ViewGraph, camera: Camera, calibrate: Calibrate) ->
                 score += window.score(models[:1])
                 focals.append(_focal_and_radial(models[0])[0])
         if score > best_score:
-            best, best_score = float(np.exp(np.mean(np.log(focals)))), score
-    return best
+            best_focal, best_score = float(np.exp(np.mean(np.log(focals)))), score
+    return best_focal
 
 
 def _comparison_windows(graph: ViewGraph) -> list[ViewGraph]:
@@ -246,10 +252,10 @@ def _calibrate_part(
     part_model = copy.deepcopy(model)
     for number in sorted(set(part_model.reg_image_ids()) - views):
         part_model.deregister_frame(part_model.images[number].frame_id)
-    unused = [
+    unused_points = [
         k for k, point in part_model.points3D.items() if k not in points or point.track.length() < 2
     ]
-    for number in unused:
+    for number in unused_points:
         part_model.delete_point3D(number)
     _set_focal(part_model, start_focal, _focal_and_radial(model)[1])
     _adjust(part_model, calibrate)
@@ -280,5 +286,5 @@ def _focal_and_radial(model: Any) -> tuple[float, float]:
 
 def _set_focal(model: Any, focal: float, radial: float) -> None:
     camera = next(iter(model.cameras.values()))
-    _, cx, cy, *rest = camera.params
-    camera.params = [focal, cx, cy, *([radial] if rest else [])]
+    _, cx, cy, *radial_coefficients = camera.params
+    camera.params = [focal, cx, cy, *([radial] if radial_coefficients else [])]

@@ -41,7 +41,7 @@ class SourceCamera:
     # share of the readout time of the full frame.
     row_share: float
     guess: FocalGuess | None  # the guess of the focal length; None if a camera was given
-    given_calibration: Calibration  # known calibration of a given camera
+    given_calibration: Calibration  # calibration of a given camera, from its file if it has one
 
     @classmethod
     def from_first_frame(
@@ -58,12 +58,15 @@ class SourceCamera:
         else:
             guess = guess_focal(source.first_file or frame.full_shape or frame.image.shape)
             full_camera = Camera(focal=guess.focal)
-        with_readout = source.camera_after(replace(full_camera, readout=1.0), frame.full_shape)
+        # The readout time of used frames for a readout time of 1 of full frames: the share of rows
+        unit_readout_camera = source.camera_after(
+            replace(full_camera, readout=1.0), frame.full_shape
+        )
         return cls(
             full_camera=full_camera,
             shape=(height, width),
             used_camera=source.camera_after(full_camera, frame.full_shape),
-            row_share=with_readout.readout or 1.0,
+            row_share=unit_readout_camera.readout or 1.0,
             guess=guess,
             given_calibration=given_calibration,
         )
@@ -80,19 +83,20 @@ class SourceCamera:
         return CALIBRATION.max_exif_deviation if is_exif else MAPPING.max_useful_deviation
 
     def full_readout(self, readout: float) -> float:
-        """Return the readout time of full frames, at most 1 interval, from that of used frames."""
+        """Return the readout time of full frames, at most 1 interval, for that of used frames."""
         return max(-1.0, min(readout / self.row_share, 1.0))
 
     def calibration(
         self,
-        # estimate, used_camera (camera there), is_estimated, focal: as for `make_calibration`
+        # estimate, used_camera, is_estimated, focal: as for `make_calibration`, where the used
+        # camera is `camera`
         estimate: FocalEstimate | None,
         used_camera: Camera,
         *,
         is_estimated: bool,
         focal: float,
-        # estimated readout time of used frames, and its standard deviation, in
-        # intervals between frames
+        # estimated readout time of used frames, and its standard deviation, in intervals between
+        # frames
         readout: tuple[float, float] | None = None,
     ) -> Calibration:
         """Return the origin and the uncertainty of the camera, in px of full frames."""
@@ -124,7 +128,7 @@ def make_calibration(
     is_estimated: bool,  # whether the focal length was to be estimated from the sequence
     focal: float,  # focal length of `camera`, px of the frames of the source
     shape: tuple[int, int],  # height and width of the frames of the source, px
-    given_calibration: Calibration = GIVEN,  # known calibration of a given camera
+    given_calibration: Calibration = GIVEN,  # calibration of a given camera
 ) -> Calibration:
     """Return the origin and uncertainty of a focal length, in px of the frames of the source."""
     if not is_estimated and guess is None:

@@ -10,7 +10,7 @@ def pinhole_rays(
     camera: Camera,  # pinhole camera
     shape: tuple[int, int],  # height and width of the frames, px
 ) -> np.ndarray:
-    """Return the rays of image points of a pinhole, (N, 3) with z = 1."""
+    """Return the rays of image points of a pinhole camera, (N, 3) with z = 1."""
     return np.column_stack(
         [(points - np.array(camera.center_for(*shape))) / camera.focal, np.ones(len(points))]
     )
@@ -33,10 +33,11 @@ def nearest_point_equations(
     Returns a matrix, (P, 3, 3) float64, and a vector, (P, 3) float64. If the rays of a point are
     parallel, the smallest eigenvalue of its matrix is 0.
     """
-    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+    # Projections to the planes perpendicular to the rays
+    projections = np.eye(3) - rays[:, :, None] * rays[:, None, :]
     matrix, vector = np.zeros((count, 3, 3)), np.zeros((count, 3))
-    np.add.at(matrix, index, across)
-    np.add.at(vector, index, np.einsum("nkl,nl->nk", across, centres))
+    np.add.at(matrix, index, projections)
+    np.add.at(vector, index, np.einsum("nkl,nl->nk", projections, centres))
     return matrix, vector
 
 

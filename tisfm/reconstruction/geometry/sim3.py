@@ -8,7 +8,7 @@ from tisfm.rigid import nearest_rotation
 
 
 def sim3_scale(similarity: np.ndarray) -> float:
-    """Return the scale s."""
+    """Return the scale s of a similarity."""
     return float(np.cbrt(np.linalg.det(similarity[:3, :3])))
 
 
@@ -54,7 +54,8 @@ def fit_sim3(
 ) -> np.ndarray:
     """Return the similarity, (4, 4), that moves `others` nearest to `points`.
 
-    Both sets count as equally exact: the scale is the ratio of their spreads, as in Horn's paper.
+    Both sets are assumed to be equally exact: the scale is the ratio of their standard deviations,
+    as in Horn's paper.
 
     References
     ----------
@@ -62,14 +63,19 @@ def fit_sim3(
     doi 10.1364/JOSAA.4.000629: sec. 2.D. The rotation is that of Umeyama, eq. 40–43,
     doi 10.1109/34.88573.
     """
-    share = (weights / weights.sum())[:, None]
-    centre, other_centre = (share * points).sum(axis=0), (share * others).sum(axis=0)
-    left, right = points - centre, others - other_centre
-    spread = [(share * offsets**2).sum() for offsets in (left, right)]
+    normalised_weights = (weights / weights.sum())[:, None]
+    centre, other_centre = (
+        (normalised_weights * points).sum(axis=0),
+        (normalised_weights * others).sum(axis=0),
+    )
+    offsets, other_offsets = points - centre, others - other_centre
+    variances = [
+        (normalised_weights * differences**2).sum() for differences in (offsets, other_offsets)
+    ]
     if rotation is None:
-        rotation = nearest_rotation((share * left).T @ right)
+        rotation = nearest_rotation((normalised_weights * offsets).T @ other_offsets)
     similarity = np.eye(4)
-    similarity[:3, :3] = np.sqrt(spread[0] / max(spread[1], 1e-300)) * rotation
+    similarity[:3, :3] = np.sqrt(variances[0] / max(variances[1], 1e-300)) * rotation
     similarity[:3, 3] = centre - similarity[:3, :3] @ other_centre
     return similarity
 
@@ -78,20 +84,20 @@ def fit_sim3_ransac(
     # points, others: (N, 3) float64
     points: np.ndarray,
     others: np.ndarray,
-    # (N,) float64: distances of the points from the camera: far points are less exact
+    # (N,) float64: distances of the points from the camera; far points are less exact
     distances: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the similarity from `others` to `points` with most inliers, and the inliers.
 
-    Returns similarity, (4, 4) float64; is_inlier, (N,) bool. None is returned if too few points are
-    inliers.
+    Returns the similarity, (4, 4) float64, and `is_inlier`, (N,) bool; or None if too few points
+    are inliers.
     """
-    required = max(GEOMETRY.min_inliers, GEOMETRY.min_inlier_share * len(points))
-    if len(points) < max(3, required):
+    min_count = max(GEOMETRY.min_inliers, GEOMETRY.min_inlier_share * len(points))
+    if len(points) < max(3, min_count):
         return None
-    random, best, best_count = np.random.default_rng(0), np.eye(4), 0
+    generator, best, best_count = np.generator.default_rng(0), np.eye(4), 0
     for _ in range(GEOMETRY.ransac_trials):
-        sample = random.choice(len(points), 3, replace=False)
+        sample = generator.choice(len(points), 3, replace=False)
         candidate = fit_sim3(points[sample], others[sample], np.ones(3))
         errors = relative_errors(candidate, points, others, distances)
         count = int((errors < GEOMETRY.max_inlier_error).sum())
@@ -100,7 +106,7 @@ def fit_sim3_ransac(
     for _ in range(GEOMETRY.fit_rounds):
         errors = relative_errors(best, points, others, distances)
         is_inlier = errors < GEOMETRY.max_inlier_error
-        if is_inlier.sum() < max(3, required):
+        if is_inlier.sum() < max(3, min_count):
             return None
         weights = _robust_weights(errors[is_inlier]) / distances[is_inlier] ** 2
         best = fit_sim3(points[is_inlier], others[is_inlier], weights)
@@ -121,7 +127,10 @@ def refine_sim3(
     The rotation comes from the poses alone, whose rotations are exact.
     """
     rotation = mean_rotation(*poses)
-    target, other = (np.vstack([k, one[:, :3, 3]]) for k, one in zip(points, poses, strict=True))
+    target, other = (
+        np.vstack([system_points, system_poses[:, :3, 3]])
+        for system_points, system_poses in zip(points, poses, strict=True)
+    )
     depth = np.concatenate([distances, np.full(len(poses[0]), np.median(distances))])
     count = len(distances)
     for _ in range(GEOMETRY.fit_rounds):
@@ -140,7 +149,7 @@ def _robust_weights(errors: np.ndarray) -> np.ndarray:
 def relative_errors(
     similarity: np.ndarray, points: np.ndarray, others: np.ndarray, distances: np.ndarray
 ) -> np.ndarray:
-    """Return the errors of transformed `others`, (N,), as shares of distances."""
+    """Return the errors of transformed `others`, (N,), divided by the distances of the points."""
     return np.asarray(
         np.linalg.norm(transform_points(similarity, others) - points, axis=1)
         / np.maximum(distances, 1e-300)
