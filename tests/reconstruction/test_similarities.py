@@ -18,7 +18,6 @@ from tisfm.reconstruction.geometry.sim3 import (
     transform_pose,
 )
 from tisfm.reconstruction.geometry.sim3_graph import (
-    BLOCK_ROWS,
     Edge,
     optimise_sim3_graph,
     solve_sparse,
@@ -225,7 +224,7 @@ def test_unconnected_nodes_are_separate():
     assert [list(place) for place in found] == [[0, 1, 2], [3], [4], [5], [6, 7]]
 
 
-@pytest.mark.parametrize("count", [1, BLOCK_ROWS, BLOCK_ROWS + 1, 3 * BLOCK_ROWS - 5])
+@pytest.mark.parametrize("count", [1, 7, 8, 16])
 def test_system_is_solved_as_linalg_does(count):
     random = np.random.default_rng(count)
     matrix, vector = random.normal(size=(count, count)), random.normal(size=count)
