@@ -95,7 +95,7 @@ def fit_sim3_ransac(
     min_count = max(GEOMETRY.min_inliers, GEOMETRY.min_inlier_share * len(points))
     if len(points) < max(3, min_count):
         return None
-    generator, best, best_count = np.generator.default_rng(0), np.eye(4), 0
+    generator, best, best_count = np.random.default_rng(0), np.eye(4), 0
     for _ in range(GEOMETRY.ransac_trials):
         sample = generator.choice(len(points), 3, replace=False)
         candidate = fit_sim3(points[sample], others[sample], np.ones(3))
