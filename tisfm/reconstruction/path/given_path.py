@@ -18,7 +18,7 @@ from tisfm.trajectory import Trajectory
 
 def given_path(
     tracks: SequenceTracks,
-    given: Trajectory,  # given poses; with a rolling shutter, the poses of middle rows
+    trajectory: Trajectory,  # given poses; with a rolling shutter, the poses of middle rows
     # Pinhole camera of the frames. An unknown readout counts as 0: it is not estimated.
     camera: Camera,
     times: Sequence[float | None],  # times of the frames, s; None if unknown
@@ -30,7 +30,7 @@ def given_path(
     Raises InputError if poses do not fit the frames in number or in time.
     """
     observations: Sequence[Observations] = tracks.observations
-    poses, missing = poses_of_frames(given, times)
+    poses, missing = poses_of_frames(trajectory, times)
     known_poses = {k: pose for k, pose in enumerate(poses) if k not in missing}
     points = triangulate_tracks(observations, known_poses, camera, tracks.shape)
     piece, rolling = Piece(poses=known_poses, views=tuple(known_poses), points=points), None
@@ -38,7 +38,7 @@ def given_path(
         correction = ReadoutCorrection(
             observations, [piece], instants, camera.readout, 0.0, camera, tracks.shape
         )
-        observations, rolling = correction.all_tracks(), correction.rolling
+        observations, rolling = correction.correct_all_tracks(), correction.rolling
         points = triangulate_tracks(observations, known_poses, camera, tracks.shape)
         piece = replace(piece, points=points)
     return CameraPath(

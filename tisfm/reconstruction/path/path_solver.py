@@ -37,7 +37,7 @@ from tisfm.status import Status
 class CameraPath:
     """Poses of frames, in pieces, and the reasons for missing poses."""
 
-    # In the order of their first frames. Each frame is in at most one piece.
+    # pieces in the order of their first frames; each frame is in at most one piece
     pieces: tuple[Piece, ...]
     missing: dict[int, Status]  # reason for each frame that is in no piece
     observations: Sequence[Observations]  # tracks in every frame
@@ -53,15 +53,15 @@ class CameraPath:
 
 @dataclass(frozen=True, kw_only=True)
 class PathSolver:
-    """Finds the camera path of tracks and views."""
+    """Finds the camera path from tracks and views."""
 
     tracks: SequenceTracks
     camera: Camera  # pinhole camera of the frames
     # The part of the camera that is estimated with the path. Except for ``"nothing"``, the focal
     # length of `camera` is a guess.
     calibrate: Calibrate = "nothing"
-    # share of the focal length: an estimate with a larger standard deviation is dropped, and the
-    # guess is used
+    # largest standard deviation of an estimate that replaces the guess, as a share of the focal
+    # length
     max_deviation: float = field(default_factory=lambda: MAPPING.max_useful_deviation)
     # readout time of the shutter, as in `tisfm.Camera`; None if it is estimated
     readout: float | None = None
@@ -88,7 +88,7 @@ class PathSolver:
             solution, rolling = self._correct_readout(solution, instants)
         return CameraPath(
             pieces=tuple(sorted(solution.pieces, key=lambda piece: min(piece.poses))),
-            missing=self.missing(solution),
+            missing=self.find_missing(solution),
             observations=solution.observations,
             camera=solution.camera,
             focal=solution.focal,
@@ -99,14 +99,14 @@ class PathSolver:
     def _uses_known_focal(self) -> bool:
         return self.is_focal_known and self.calibrate == "nothing"
 
-    def new_models(
+    def find_new_models(
         self,
         views: Sequence[View],
         matches: Mapping[tuple[int, int], np.ndarray],
         camera: Camera,
         calibrate: Calibrate,
     ) -> tuple[list[Model], FocalEstimate | None]:
-        """Return the models of views, and the focal length if it is estimated and models exist."""
+        """Return the models of views, and the estimated focal length or None."""
         shape = self.tracks.shape
         if calibrate != "nothing":
             return find_models_and_focal(
@@ -130,11 +130,11 @@ class PathSolver:
                 views, matches, camera, shape, observations, is_focal_known=self._uses_known_focal
             )
         else:
-            known = [{frame: piece.poses[frame] for frame in piece.views} for piece in pieces]
-            models = readjust_models(views, matches, camera, shape, known)
-        return self._solution_of_models(models, views, observations, camera)
+            start_poses = [{frame: piece.poses[frame] for frame in piece.views} for piece in pieces]
+            models = readjust_models(views, matches, camera, shape, start_poses)
+        return self._solve_from_models(models, views, observations, camera)
 
-    def missing(self, solution: PathSolution) -> dict[int, Status]:
+    def find_missing(self, solution: PathSolution) -> dict[int, Status]:
         """Return the reason for each frame without a pose."""
         return {
             frame: status_without_pose(
@@ -146,7 +146,7 @@ class PathSolver:
             for frame in solution.missing_frames
         }
 
-    def solution(
+    def complete_solution(
         self,
         pieces: Sequence[Piece],
         views: Sequence[View],
@@ -155,7 +155,7 @@ class PathSolver:
         focal: FocalEstimate | None = None,
         score: float = 0.0,
     ) -> PathSolution:
-        """Return pieces as a solution; the frames between their views get poses as well."""
+        """Return pieces as a solution, after the frames between their views got poses."""
         frames = range(len(observations)) if self.frames is None else self.frames
         pieces, missing_frames = add_remaining_frames(
             pieces, observations, frames, camera.pinhole(), self.tracks.shape
@@ -175,7 +175,7 @@ class PathSolver:
     ) -> tuple[PathSolution, RollingShutterMotion | None]:
         """Return the path of middle rows, and the motion of frames while their rows were read."""
         pinhole = solution.camera.pinhole()
-        corrected, rolling = find_corrected_path(
+        corrected_solution, rolling = find_corrected_path(
             solution,
             partial(self.readjust, camera=pinhole),
             self.tracks.matches,
@@ -185,24 +185,33 @@ class PathSolver:
         )
         if rolling is None:
             return solution, None
-        if len(corrected.views) <= SUBMAPS.max_views:
-            # A path bent by the readout effect may stay bent. So another path is built from the
-            # corrected tracks, without the first path as a start.
+        if len(corrected_solution.views) <= SUBMAPS.max_views:
+            # A path that is bent by the readout effect may stay bent. So another path is built from
+            # the corrected tracks, without a start from the first path.
             calibrate: Calibrate = "focal" if self.calibrate == "focal" else "nothing"
-            rebuilt = self._solve_views(corrected.views, corrected.observations, pinhole, calibrate)
-            if rebuilt.pieces and rebuilt.focal is None:
-                rebuilt = self.readjust(
-                    corrected.views, corrected.observations, rebuilt.pieces, pinhole
+            rebuilt_solution = self._solve_views(
+                corrected_solution.views, corrected_solution.observations, pinhole, calibrate
+            )
+            if rebuilt_solution.pieces and rebuilt_solution.focal is None:
+                rebuilt_solution = self.readjust(
+                    corrected_solution.views,
+                    corrected_solution.observations,
+                    rebuilt_solution.pieces,
+                    pinhole,
                 )
-            is_useful = rebuilt.focal is None or rebuilt.focal.is_useful  # better than a guess
-            if rebuilt.score > corrected.score and is_useful:
-                corrected = rebuilt
-        if corrected.focal is None:
-            corrected = replace(corrected, camera=solution.camera, focal=solution.focal)
-        # The last solution has poses for more frames: their motion is added.
+            is_useful = (
+                rebuilt_solution.focal is None or rebuilt_solution.focal.is_useful
+            )  # better than a guess
+            if rebuilt_solution.score > corrected_solution.score and is_useful:
+                corrected_solution = rebuilt_solution
+        if corrected_solution.focal is None:
+            corrected_solution = replace(
+                corrected_solution, camera=solution.camera, focal=solution.focal
+            )
+        # The last solution has poses for more frames: the motion of these frames is added.
         correction = ReadoutCorrection(
             solution.observations,
-            corrected.pieces,
+            corrected_solution.pieces,
             instants,
             rolling.readout,
             0.0,
@@ -211,7 +220,7 @@ class PathSolver:
         ).rolling
         rates = {**correction.rates, **rolling.rates}
         inverse_depth = {**correction.inverse_depth, **rolling.inverse_depth}
-        return corrected, replace(rolling, rates=rates, inverse_depth=inverse_depth)
+        return corrected_solution, replace(rolling, rates=rates, inverse_depth=inverse_depth)
 
     def _solve_views(
         self,
@@ -228,26 +237,26 @@ class PathSolver:
                     views, matches, camera, shape, calibrate, max_deviation=self.max_deviation
                 )
                 if focal is None:  # no part has a path
-                    return self._solution_of_models([], views, tracks, camera)
+                    return self._solve_from_models([], views, tracks, camera)
             lens = camera if focal is None else focal.apply_to(camera)
             observations = _undistort_tracks(tracks, lens, shape)
-            straight_views = _undistort_views(views, lens, shape)
+            undistorted_views = _undistort_views(views, lens, shape)
             models = models_from_submaps(
-                straight_views,
+                undistorted_views,
                 matches,
                 lens.pinhole(),
                 shape,
                 observations,
                 is_focal_known=self._uses_known_focal,
             )
-            return self._solution_of_models(models, views, observations, lens, focal)
-        models, focal = self.new_models(views, matches, camera, calibrate)
+            return self._solve_from_models(models, views, observations, lens, focal)
+        models, focal = self.find_new_models(views, matches, camera, calibrate)
         lens = camera if focal is None else focal.apply_to(camera)
-        return self._solution_of_models(
+        return self._solve_from_models(
             models, views, _undistort_tracks(tracks, lens, shape), lens, focal
         )
 
-    def _solution_of_models(
+    def _solve_from_models(
         self,
         models: Sequence[Model],
         views: Sequence[View],
@@ -257,7 +266,7 @@ class PathSolver:
     ) -> PathSolution:
         """Return the solution with the poses of models and of the frames between their views."""
         pieces, score = list(map(piece_of_model, models)), sum(model.score for model in models)
-        return self.solution(pieces, views, observations, camera, focal, score)
+        return self.complete_solution(pieces, views, observations, camera, focal, score)
 
 
 def piece_of_model(model: Model) -> Piece:
@@ -289,7 +298,7 @@ def find_path(
 def _undistort_tracks(
     tracks: Sequence[Observations], lens: Camera, shape: tuple[int, int]
 ) -> Sequence[Observations]:
-    """Return where a pinhole would see the tracks of every frame."""
+    """Return the tracks of every frame as a pinhole would see them."""
     if lens.is_pinhole:
         return tracks
     undistorted = DiskCache(Observations.to_arrays, Observations.from_arrays)
@@ -323,22 +332,22 @@ def add_remaining_frames(
 ) -> tuple[list[Piece], list[int]]:
     """Add the frames between views to pieces; return the pieces and the frames without a piece."""
     piece_of_frame = {frame: k for k, piece in enumerate(pieces) for frame in piece.poses}
-    ordered = sorted(piece_of_frame)
-    added: list[dict[int, np.ndarray]] = [dict(piece.poses) for piece in pieces]
+    sorted_frames = sorted(piece_of_frame)
+    poses_of_pieces: list[dict[int, np.ndarray]] = [dict(piece.poses) for piece in pieces]
     missing_frames = []
     for frame in frames:
         if frame in piece_of_frame:
             continue
-        for k in _nearest_pieces(frame, piece_of_frame, ordered):
+        for k in _nearest_pieces(frame, piece_of_frame, sorted_frames):
             pose = pose_from_points(observations[frame], pieces[k].points, camera, shape)
             if pose is not None:
-                added[k][frame] = pose
+                poses_of_pieces[k][frame] = pose
                 break
         else:
             missing_frames.append(frame)
     return [
         replace(piece, poses=dict(sorted(poses.items())))
-        for piece, poses in zip(pieces, added, strict=True)
+        for piece, poses in zip(pieces, poses_of_pieces, strict=True)
     ], missing_frames
 
 
@@ -386,10 +395,10 @@ def status_without_pose(
 
 
 def _nearest_pieces(
-    frame: int, piece_of_frame: Mapping[int, int], ordered: Sequence[int]
+    frame: int, piece_of_frame: Mapping[int, int], sorted_frames: Sequence[int]
 ) -> list[int]:
-    """Return the pieces of the nearest frames before and after, without repetition."""
-    after = bisect_left(ordered, frame)
-    neighbours = [*ordered[max(0, after - 1) : after], *ordered[after : after + 1]]
+    """Return the pieces of the nearest frames before and after a frame, without repetition."""
+    after = bisect_left(sorted_frames, frame)
+    neighbours = [*sorted_frames[max(0, after - 1) : after], *sorted_frames[after : after + 1]]
     neighbours.sort(key=lambda other: abs(other - frame))
     return list(dict.fromkeys(piece_of_frame[other] for other in neighbours))

@@ -20,10 +20,11 @@ from tisfm.reconstruction.tracks.triangulation import points_of_tracks
 from tisfm.reconstruction.tracks.views import View
 from tisfm.shutter import RollingShutterMotion, motion_rates, points_at_middle_row
 
-# Intervals between frames: the readout of a frame ends before the next frame begins.
+# The longest readout time, in intervals between frames: the readout of a frame ends before the next
+# frame begins.
 MAX_READOUT = 1.0
 
-Resolve = Callable[[Sequence[View], Sequence[Observations], Sequence[Piece]], PathSolution]
+SolvePath = Callable[[Sequence[View], Sequence[Observations], Sequence[Piece]], PathSolution]
 
 
 class ReadoutCorrection:
@@ -31,12 +32,13 @@ class ReadoutCorrection:
 
     def __init__(
         self,
-        # tracks of every frame, as the camera sees them
+        # tracks in every frame, as the camera sees them, not corrected
         observations: Sequence[Observations] | Mapping[int, Observations],
         pieces: Sequence[Piece],  # each frame is in at most one piece
-        # (N,) array, or mapping: time of each frame, in intervals between frames of the source
+        # (N,) array, or mapping by frame: time of each frame, in intervals between frames of the
+        # source
         instants: np.ndarray | Mapping[int, float],
-        # readout, deviation: as in `RollingShutterMotion`
+        # readout time and its standard deviation, in intervals between frames
         readout: float,
         deviation: float,
         camera: Camera,  # pinhole camera
@@ -48,10 +50,15 @@ class ReadoutCorrection:
         self._depths: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         for piece in pieces:
             for frame, rate in motion_rates(piece.poses, instants).items():
-                depth, is_known = _depths(observations[frame], piece.points, piece.poses[frame])
-                if is_known.any():
-                    rates[frame], inverse_depth[frame] = rate, 1 / float(np.median(depth[is_known]))
-                    self._depths[frame] = depth, is_known
+                depth, has_depth = _track_depths(
+                    observations[frame], piece.points, piece.poses[frame]
+                )
+                if has_depth.any():
+                    rates[frame], inverse_depth[frame] = (
+                        rate,
+                        1 / float(np.median(depth[has_depth])),
+                    )
+                    self._depths[frame] = depth, has_depth
         self.rolling = RollingShutterMotion(
             camera=camera,
             readout=readout,
@@ -60,42 +67,45 @@ class ReadoutCorrection:
             inverse_depth=inverse_depth,
         )
 
-    def tracks(self, frame: int) -> Observations:
+    def correct_tracks(self, frame: int) -> Observations:
         """Return the corrected tracks of a frame; tracks that leave the frame are dropped."""
         observations = self._observations[frame]
         if frame not in self._depths:
             return observations
-        depth, is_known = self._depths[frame]
+        depth, has_depth = self._depths[frame]
         median_depth = 1 / self.rolling.inverse_depth[frame]
         points = self._correct_points(
-            frame, observations.points, np.where(is_known, depth, median_depth)
+            frame, observations.points, np.where(has_depth, depth, median_depth)
         )
         height, width = self._shape
         is_inside = ((points >= 0) & (points <= (width - 1, height - 1))).all(axis=1)
         return Observations(points=points[is_inside], tracks=observations.tracks[is_inside])
 
-    def all_tracks(self) -> DiskCache[Observations]:
+    def correct_all_tracks(self) -> DiskCache[Observations]:
         """Return the corrected tracks of every frame."""
         corrected = DiskCache(Observations.to_arrays, Observations.from_arrays)
         for frame in range(len(self._observations)):
-            corrected.append(self.tracks(frame))
+            corrected.append(self.correct_tracks(frame))
         return corrected
 
-    def view(self, view: View) -> View:
-        """Return a corrected view, with all its detected points."""
+    def correct_view(self, view: View) -> View:
+        """Return a view with corrected tracks and detected points.
+
+        The depth of a detected point is the median depth of the nearest tracks.
+        """
         frame = view.frame
         if frame not in self._depths or not len(view.detected):
-            return replace(view, observations=self.tracks(frame))
-        depth, is_known = self._depths[frame]
-        _, neighbours = cKDTree(self._observations[frame].points[is_known]).query(
-            view.detected, k=min(ROLLING_SHUTTER.depth_neighbours, int(is_known.sum()))
+            return replace(view, observations=self.correct_tracks(frame))
+        depth, has_depth = self._depths[frame]
+        _, neighbours = cKDTree(self._observations[frame].points[has_depth]).query(
+            view.detected, k=min(ROLLING_SHUTTER.depth_neighbours, int(has_depth.sum()))
         )
         median_depth = np.median(
-            depth[is_known][neighbours].reshape(len(view.detected), -1), axis=1
+            depth[has_depth][neighbours].reshape(len(view.detected), -1), axis=1
         )
         return replace(
             view,
-            observations=self.tracks(frame),
+            observations=self.correct_tracks(frame),
             detected=self._correct_points(frame, view.detected, median_depth),
         )
 
@@ -106,7 +116,7 @@ class ReadoutCorrection:
         )
 
 
-def _depths(
+def _track_depths(
     observations: Observations, points: Mapping[int, np.ndarray], pose: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the depth of each track of a frame, (N,), and whether it is known and positive."""
@@ -118,14 +128,14 @@ def _depths(
 
 def find_corrected_path(
     solution: PathSolution,  # the path that was found for a global shutter
-    # returns the path for corrected views and tracks of a pinhole, starting from given pieces
-    resolve: Resolve,
-    # mapping of (int, int) to (N, 2) int array: for pairs of indices of views: indices of their
-    # detected points that match
+    # returns the path for corrected views and tracks of a pinhole, starting from the poses of
+    # pieces
+    solve_path: SolvePath,
+    # by pair of view indices: (N, 2) int array, the indices of their detected points that match
     matches: Mapping[tuple[int, int], np.ndarray],
     # (N,) array: time of each frame, in intervals between frames of the source
     instants: np.ndarray,
-    readout: float | None,  # the readout time, if it is known
+    readout: float | None,  # the readout time; None if it is estimated
     shape: tuple[int, int],  # height and width of the frames, px
 ) -> tuple[PathSolution, RollingShutterMotion | None]:
     """Return the path of the middle rows, and the motion of frames while their rows were read.
@@ -141,16 +151,18 @@ def find_corrected_path(
                 frame=view.frame, observations=solution.observations[view.frame], detected=detected
             )
         )
-    corrected, rolling = solution, None
-    value, deviation, change = readout or 0.0, 0.0, 0.0
+    corrected_solution, rolling = solution, None
+    current_readout, deviation, change = readout or 0.0, 0.0, 0.0
     for round_number in range(
         ROLLING_SHUTTER.max_rounds if readout is None else ROLLING_SHUTTER.known_rounds
     ):
         if readout is None:
-            estimate = _estimate(corrected, views, matches, instants, camera, shape, start=value)
+            estimate = _estimate_from_largest_piece(
+                corrected_solution, views, matches, instants, camera, shape, start=current_readout
+            )
             if estimate is None or not _is_significant(estimate):
                 break
-            previous_change, change = change, estimate.readout - value
+            previous_change, change = change, estimate.readout - current_readout
             if round_number and abs(change) < ROLLING_SHUTTER.min_change:
                 break
             hidden_share = (
@@ -158,27 +170,39 @@ def find_corrected_path(
                 if previous_change
                 else 0.0
             )
-            value, previous = _rounded(value + change / (1 - hidden_share)), value
+            current_readout, previous_readout = (
+                _round_readout(current_readout + change / (1 - hidden_share)),
+                current_readout,
+            )
             deviation = float(f"{estimate.deviation:.3g}")
-            if round_number and value == previous:  # the value is at its limit
+            # The readout time does not change any more if it is at its limit.
+            if round_number and current_readout == previous_readout:
                 break
         correction = ReadoutCorrection(
-            solution.observations, corrected.pieces, instants, value, deviation, camera, shape
+            solution.observations,
+            corrected_solution.pieces,
+            instants,
+            current_readout,
+            deviation,
+            camera,
+            shape,
         )
         rolling = correction.rolling
         corrected_views = DiskCache(View.to_arrays, View.from_arrays)
         for view in views:
-            corrected_views.append(correction.view(view))
-        corrected = resolve(corrected_views, correction.all_tracks(), corrected.pieces)
-        if not corrected.pieces:
+            corrected_views.append(correction.correct_view(view))
+        corrected_solution = solve_path(
+            corrected_views, correction.correct_all_tracks(), corrected_solution.pieces
+        )
+        if not corrected_solution.pieces:
             return solution, None
-    return corrected, rolling
+    return corrected_solution, rolling
 
 
 def _is_significant(estimate: ReadoutEstimate) -> bool:
     """Return whether a readout time differs significantly from 0 and is possible for a camera.
 
-    With a large standard deviation no possible value is significant: then the result is False.
+    With a large standard deviation, no possible value is significant, and the result is False.
     """
     min_readout = ROLLING_SHUTTER.min_significance * estimate.deviation
     return (
@@ -187,12 +211,12 @@ def _is_significant(estimate: ReadoutEstimate) -> bool:
     )
 
 
-def _rounded(readout: float) -> float:
-    """Return a readout time in whole thousandths, so that rounding errors do not spread."""
+def _round_readout(readout: float) -> float:
+    """Round a readout time to thousandths, so that rounding errors do not spread."""
     return round(min(max(readout, -MAX_READOUT), MAX_READOUT), 3)
 
 
-def _estimate(
+def _estimate_from_largest_piece(
     solution: PathSolution,
     views: Sequence[View],
     matches: Mapping[tuple[int, int], np.ndarray],

@@ -34,17 +34,17 @@ class ReadoutEstimate:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Observations:
-    """Observations: numbers of the view and of the point, (N,), and positions, (N, 2) px."""
+class _ViewObservations:
+    """Positions of points in views."""
 
-    view: np.ndarray
-    point: np.ndarray
-    position: np.ndarray
+    view: np.ndarray  # (N,) int: index of the view
+    point: np.ndarray  # (N,) int: number of the point
+    position: np.ndarray  # (N, 2) px
 
-    def select(self, is_selected: np.ndarray) -> "_Observations":
-        """Return a subset, with points renumbered."""
+    def select(self, is_selected: np.ndarray) -> "_ViewObservations":
+        """Return the selected observations, (N,) bool, with new numbers of points from 0."""
         _, point = np.unique(self.point[is_selected], return_inverse=True)
-        return _Observations(
+        return _ViewObservations(
             view=self.view[is_selected], point=point, position=self.position[is_selected]
         )
 
@@ -52,20 +52,18 @@ class _Observations:
 def estimate_readout(
     # views with points as the frames show them, not corrected for the readout
     views: Sequence[View],
-    # mapping of (int, int) to (N, 2) int array: for pairs of indices of views: indices of their
-    # detected points that match
+    # by pair of view indices: (N, 2) int array, the indices of their detected points that match
     matches: Mapping[tuple[int, int], np.ndarray],
-    # mapping of int to (4, 4) array: current poses, camera to world, by frame
+    # by frame: (4, 4) array, the current pose, camera to world
     poses: Mapping[int, np.ndarray],
-    # mapping of int to (6,) array: motion per interval, by frame, as `tisfm.shutter.rates_of`
-    # returns it
+    # by frame: (6,) array, motion per interval between frames, from `tisfm.shutter.motion_rates`
     rates: Mapping[int, np.ndarray],
     camera: Camera,  # pinhole camera
     shape: tuple[int, int],  # height and width of the frames, px
     *,
-    start: float = 0.0,  # readout that the estimation starts from
-) -> ReadoutEstimate | None:  # none if views share too few points
-    """Estimate the readout of a camera."""
+    start: float = 0.0,  # start value of the readout time
+) -> ReadoutEstimate | None:  # None if views share too few points
+    """Estimate the readout time of a camera."""
     numbers = [k for k, view in enumerate(views) if view.frame in rates]
     if len(numbers) < ROLLING_SHUTTER.min_views:
         return None
@@ -74,7 +72,7 @@ def estimate_readout(
     if not len(observations.view):
         return None
     frames = [views[k].frame for k in numbers]
-    problem = _Problem(
+    adjustment = _JointAdjustment(
         observations,
         np.linalg.inv(np.array([poses[frame] for frame in frames])),
         np.array([rates[frame] for frame in frames]),
@@ -84,17 +82,17 @@ def estimate_readout(
     )
     for outlier_scale in ROLLING_SHUTTER.outlier_scales:
         for _ in range(ROLLING_SHUTTER.steps_per_scale):
-            problem.step(outlier_scale)
-    deviation = problem.deviation(ROLLING_SHUTTER.outlier_scales[-1])
+            adjustment.step(outlier_scale)
+    deviation = adjustment.deviation(ROLLING_SHUTTER.outlier_scales[-1])
     return ReadoutEstimate(
-        readout=problem.readout, deviation=ROLLING_SHUTTER.deviation_factor * deviation
+        readout=adjustment.readout, deviation=ROLLING_SHUTTER.deviation_factor * deviation
     )
 
 
 def _select_rotating_views(
     numbers: list[int], views: Sequence[View], rates: Mapping[int, np.ndarray]
 ) -> list[int]:
-    """Return the allowed number of consecutive views: those in which the camera rotates most."""
+    """Return consecutive views, as many as allowed, in which the camera rotates most."""
     count = ROLLING_SHUTTER.max_views
     if len(numbers) <= count:
         return numbers
@@ -107,52 +105,54 @@ def _select_rotating_views(
 
 def _collect_observations(
     views: Sequence[View], matches: Mapping[tuple[int, int], np.ndarray], numbers: Sequence[int]
-) -> _Observations:
+) -> _ViewObservations:
     """Return the observations of the tracks and matched points that most views see."""
-    order = {number: k for k, number in enumerate(numbers)}
+    position_of_view = {number: k for k, number in enumerate(numbers)}
     begins = np.cumsum([0, *(len(views[number].detected) for number in numbers)])
     pairs = [
-        indices + np.array([begins[order[first]], begins[order[second]]])
+        indices + np.array([begins[position_of_view[first]], begins[position_of_view[second]]])
         for (first, second), indices in matches.items()
-        if first in order and second in order
+        if first in position_of_view and second in position_of_view
     ]
-    ends = np.vstack([np.empty((0, 2), np.intp), *pairs])
+    point_pairs = np.vstack([np.empty((0, 2), np.intp), *pairs])
     count = int(begins[-1])
-    graph = sparse.coo_matrix((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), (count, count))
+    graph = sparse.coo_matrix(
+        (np.ones(len(point_pairs)), (point_pairs[:, 0], point_pairs[:, 1])), (count, count)
+    )
     _, group = sparse.csgraph.connected_components(graph, directed=False)
-    of_detected = np.repeat(np.arange(len(numbers)), np.diff(begins))
+    view_of_detected = np.repeat(np.arange(len(numbers)), np.diff(begins))
     tracks = [views[number].observations.tracks for number in numbers]
-    view = np.r_[np.repeat(np.arange(len(numbers)), list(map(len, tracks))), of_detected]
+    view = np.r_[np.repeat(np.arange(len(numbers)), list(map(len, tracks))), view_of_detected]
     point = np.r_[np.concatenate(tracks), -1 - group]
     position = np.vstack(
         [*(views[k].observations.points for k in numbers), *(views[k].detected for k in numbers)]
     )
     if not len(view):
-        return _Observations(view=view, point=point, position=position)
-    all_observations = _Observations(
+        return _ViewObservations(view=view, point=point, position=position)
+    all_observations = _ViewObservations(
         view=view, point=np.unique(point, return_inverse=True)[1], position=position
     )
-    # A point that one view shows twice is a wrong match.
-    repeated = np.unique(
+    # A point with two observations in one view comes from a wrong match.
+    pair_counts = np.unique(
         all_observations.point * len(numbers) + all_observations.view, return_counts=True
     )
-    wrong_points = np.unique(repeated[0][repeated[1] > 1] // len(numbers))
+    wrong_points = np.unique(pair_counts[0][pair_counts[1] > 1] // len(numbers))
     counts = np.bincount(all_observations.point)
     counts[wrong_points] = 0
-    ranked = np.sort(counts)[::-1]
-    last = np.searchsorted(np.cumsum(ranked), ROLLING_SHUTTER.max_observations)
-    min_count = ranked[last.clip(0, len(ranked) - 1)]
+    sorted_counts = np.sort(counts)[::-1]
+    last_index = np.searchsorted(np.cumsum(sorted_counts), ROLLING_SHUTTER.max_observations)
+    min_count = sorted_counts[last_index.clip(0, len(sorted_counts) - 1)]
     return all_observations.select(
         counts[all_observations.point] >= max(ROLLING_SHUTTER.min_views, min_count)
     )
 
 
-class _Problem:
+class _JointAdjustment:
     """Joint adjustment of poses, points, readout time and focal length."""
 
     def __init__(
         self,
-        observations: _Observations,
+        observations: _ViewObservations,
         poses: np.ndarray,  # (V, 4, 4) array: world to camera
         rates: np.ndarray,  # (V, 6) array
         # camera, shape, readout: as for `estimate_readout`
@@ -182,31 +182,33 @@ class _Problem:
     def _linearise(
         self, outlier_scale: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return weighted derivatives by poses, points, and readout and log focal; and residuals.
+        """Return derivatives by poses, by points, and by readout and log focal; and residuals.
 
-        The residuals are weighted too.
+        Each row of the derivatives and residuals is multiplied by the root of its weight.
         """
         view = self._observations.view
         local = self._view_coordinates()
         delay = self.readout * self._row_delay
         velocity = self._rates[view, :3] + np.cross(self._rates[view, 3:], local)
-        moved = local + delay[:, None] * velocity
-        z = np.maximum(moved[:, 2], MIN_DEPTH)
-        projected = self._focal * moved[:, :2] / z[:, None]
-        residual = projected - self._positions
+        moved_points = local + delay[:, None] * velocity
+        z = np.maximum(moved_points[:, 2], MIN_DEPTH)
+        projections = self._focal * moved_points[:, :2] / z[:, None]
+        residual = projections - self._positions
         square_residual = (residual**2).sum(axis=1)
-        is_used = (moved[:, 2] > MIN_DEPTH) & (square_residual < ROLLING_SHUTTER.max_residual**2)
+        is_used = (moved_points[:, 2] > MIN_DEPTH) & (
+            square_residual < ROLLING_SHUTTER.max_residual**2
+        )
         weight = np.where(is_used, 1 / (1 + square_residual / outlier_scale**2), 0)
-        root = np.sqrt(weight)[:, None, None]
+        root_weight = np.sqrt(weight)[:, None, None]
         jacobian = np.zeros((len(z), 2, 3))
         jacobian[:, 0, 0] = jacobian[:, 1, 1] = self._focal / z
-        jacobian[:, :, 2] = -self._focal * moved[:, :2] / z[:, None] ** 2
-        by_point = jacobian @ self._rotations[view] * root
-        rotated = np.stack([np.cross(axis, local) for axis in np.eye(3)], axis=2)
-        by_view = np.concatenate([jacobian, jacobian @ rotated], axis=2) * root
+        jacobian[:, :, 2] = -self._focal * moved_points[:, :2] / z[:, None] ** 2
+        by_point = jacobian @ self._rotations[view] * root_weight
+        rotation_derivatives = np.stack([np.cross(axis, local) for axis in np.eye(3)], axis=2)
+        by_view = np.concatenate([jacobian, jacobian @ rotation_derivatives], axis=2) * root_weight
         by_readout = jacobian @ (self._row_delay[:, None] * velocity)[:, :, None]
-        by_camera = np.concatenate([by_readout, projected[:, :, None]], axis=2) * root
-        return by_view, by_point, by_camera, residual * root[:, :, 0]
+        by_camera = np.concatenate([by_readout, projections[:, :, None]], axis=2) * root_weight
+        return by_view, by_point, by_camera, residual * root_weight[:, :, 0]
 
     def _solve(
         self,
@@ -224,9 +226,9 @@ class _Problem:
         view, point = self._observations.view, self._observations.point
         views, points = len(self._rotations), len(self._points)
         camera_jacobian = sparse.hstack(
-            [_blocks(by_view, view, views), sparse.csr_matrix(by_camera.reshape(-1, 2))]
+            [_block_matrix(by_view, view, views), sparse.csr_matrix(by_camera.reshape(-1, 2))]
         ).tocsr()
-        point_jacobian = _blocks(by_point, point, points)
+        point_jacobian = _block_matrix(by_point, point, points)
         point_blocks = np.zeros((points, 3, 3))
         np.add.at(point_blocks, point, np.swapaxes(by_point, 1, 2) @ by_point)
         trace = np.trace(point_blocks, axis1=1, axis2=2)[:, None, None]
@@ -249,12 +251,14 @@ class _Problem:
         solution = np.linalg.solve(matrix, np.stack([-vector, readout], axis=1))
         step = solution[:, 0]
         point_steps = -(inverse @ (point_gradient + cross_blocks.T @ step)).reshape(-1, 3)
-        freedom = max(1, residual.size - len(vector) - 3 * points)
-        deviation = np.sqrt(float((residual**2).sum()) / freedom * max(float(solution[-2, 1]), 0.0))
+        degrees_of_freedom = max(1, residual.size - len(vector) - 3 * points)
+        deviation = np.sqrt(
+            float((residual**2).sum()) / degrees_of_freedom * max(float(solution[-2, 1]), 0.0)
+        )
         return step, point_steps, float(deviation)
 
     def _gauge(self, diagonal: np.ndarray) -> np.ndarray:
-        """Return the gauge term, which fixes the first view and its distance to the farthest view.
+        """Return the gauge term: it fixes the first view and its distance to the farthest view.
 
         A common motion, rotation and scaling of poses and points does not change the images. The
         rates have a fixed unit: without this term, any readout time would fit a camera that does
@@ -290,9 +294,9 @@ class _Problem:
         """Return the points nearest to the rays of their observations, (P, 3)."""
         view, point = self._observations.view, self._observations.point
         local = np.column_stack([self._positions / self._focal, np.ones(len(view))])
-        if self.readout:  # rays of the middle row, without the camera's translation
-            spin = self._rates[view, 3:] * (-self.readout * self._row_delay)[:, None]
-            local = local + np.cross(spin, local)
+        if self.readout:  # rays at the time of the middle row, without the camera's translation
+            rotation = self._rates[view, 3:] * (-self.readout * self._row_delay)[:, None]
+            local = local + np.cross(rotation, local)
         ray = np.einsum("nji,nj->ni", self._rotations[view], local)
         ray = unit_vectors(ray)
         centre = -np.einsum("nji,nj->ni", self._rotations, self._translations)[view]
@@ -301,9 +305,12 @@ class _Problem:
         return np.asarray(np.linalg.solve(matrix, vector[..., None])[..., 0])
 
 
-def _blocks(values: np.ndarray, number: np.ndarray, count: int) -> sparse.csr_matrix:
-    """Return the (2 N, k·count) sparse matrix of blocks, (N, 2, k), in columns of their numbers."""
-    rows, _, wide = values.shape
-    columns = (wide * number)[:, None, None] + np.broadcast_to(np.arange(wide), values.shape)
-    begins = np.arange(0, 2 * rows * wide + 1, wide)
-    return sparse.csr_matrix((values.ravel(), columns.ravel(), begins), (2 * rows, wide * count))
+def _block_matrix(values: np.ndarray, number: np.ndarray, count: int) -> sparse.csr_matrix:
+    """Return the sparse matrix of blocks, (N, 2, k), with block columns `number`, (N,).
+
+    Its shape is (2 N, k·count).
+    """
+    rows, _, width = values.shape
+    columns = (width * number)[:, None, None] + np.broadcast_to(np.arange(width), values.shape)
+    begins = np.arange(0, 2 * rows * width + 1, width)
+    return sparse.csr_matrix((values.ravel(), columns.ravel(), begins), (2 * rows, width * count))

@@ -176,19 +176,21 @@ class SlidingPath:
         pieces, free = self._continue_pieces()
         graph = self._view_graph(free)
         if self._focal_known:
-            models, _ = solver.new_models(*graph, self.camera, "nothing")
+            models, _ = solver.find_new_models(*graph, self.camera, "nothing")
         else:
-            models, self.focal = solver.new_models(*graph, self.camera, "focal")
+            models, self.focal = solver.find_new_models(*graph, self.camera, "focal")
             if self.focal is not None:  # from now on it is fixed
                 self.camera, self._focal_known = self.focal.apply_to(self.camera), True
                 self._views.set_camera(self.camera)
         for model in sorted(models, key=lambda model: min(model.poses)):
             pieces[max([*pieces, self._piece_count - 1]) + 1] = piece_of_model(model)
-        solution = solver.solution(list(pieces.values()), self._views.views, self.seen, self.camera)
+        solution = solver.complete_solution(
+            list(pieces.values()), self._views.views, self.seen, self.camera
+        )
         return SlidingSolution(
             pieces=dict(zip(pieces, solution.pieces, strict=True)),
             fixed={frame: pose for poses in self._fixed.values() for frame, pose in poses.items()},
-            lost=solver.missing(solution),
+            lost=solver.find_missing(solution),
         )
 
     def _continue_pieces(self) -> tuple[dict[int, Piece], list[int]]:
@@ -302,10 +304,12 @@ class SlidingPath:
             self._shape,
         )
         later = [frame for frame in self._read.frames() if frame > self.last_fixed]
-        self.seen = self.seen.with_tracks({frame: unroller.tracks(frame) for frame in later})
+        self.seen = self.seen.with_tracks(
+            {frame: unroller.correct_tracks(frame) for frame in later}
+        )
         for view in self._views.views:
             if view.frame > self.last_fixed:
-                self._unrolled_views[view.frame] = unroller.view(view)
+                self._unrolled_views[view.frame] = unroller.correct_view(view)
         rates = unroller.rolling.rates.items()
         return replace(
             unroller.rolling,

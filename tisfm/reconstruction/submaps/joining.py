@@ -2,7 +2,7 @@
 
 Each submap is mapped by itself. The views of a submap are divided into groups. A graph of
 similarities then moves each group, so that shared points coincide: points of neighbouring groups,
-of consecutive submaps, and of loops. This also corrects the drift of scale along a submap.
+of consecutive submaps, and of loops. This graph also corrects the drift of scale along a submap.
 """
 
 from collections.abc import Iterator, Sequence
@@ -49,28 +49,32 @@ def focal_from_submaps(
     *,
     max_deviation: float,
 ) -> FocalEstimate | None:
-    """Return the focal length of the first submap that shows it, or else the most certain estimate.
+    """Return the focal length of the first submap that shows it well, or the best estimate.
 
-    Arguments are as for `find_models_and_focal`. None is returned if no submap has a path.
+    The best estimate has the smallest relative standard deviation. Arguments are as for
+    `find_models_and_focal`. None is returned if no submap has a path.
     """
-    best = None
+    best_estimate = None
     for begin, end in submap_spans(len(views)):
-        own_matches = {
-            (earlier - begin, later - begin): both
-            for (earlier, later), both in matches.items()
+        span_matches = {
+            (earlier - begin, later - begin): indices
+            for (earlier, later), indices in matches.items()
             if begin <= earlier and later < end
         }
-        own_views = [views[k] for k in range(begin, end)]
+        span_views = [views[k] for k in range(begin, end)]
         _, estimate = find_models_and_focal(
-            own_views, own_matches, camera, shape, calibrate, max_deviation=max_deviation
+            span_views, span_matches, camera, shape, calibrate, max_deviation=max_deviation
         )
         if estimate is None:
             continue
-        if best is None or estimate.deviation * best.focal < best.deviation * estimate.focal:
-            best = estimate
-        if best.is_certain:
+        if (
+            best_estimate is None
+            or estimate.deviation * best_estimate.focal < best_estimate.deviation * estimate.focal
+        ):
+            best_estimate = estimate
+        if best_estimate.is_certain:
             break
-    return best
+    return best_estimate
 
 
 def models_from_submaps(
@@ -91,20 +95,31 @@ def models_from_submaps(
         views, matches, camera, shape, spans, size, is_focal_known=is_focal_known
     )
     submaps = builder.build_submaps()
-    begins = np.cumsum([0, *(len(submap.groups) for submap in submaps)]).tolist()
-    edges = [*_edges_within_submaps(submaps, begins), *_edges_of_overlaps(submaps, begins, views)]
-    edges += sorted(_edges_of_loops(submaps, begins, matches), key=lambda edge: -edge.weight)
+    # Nodes of the graph are groups of views: the first node of each submap, and the number of nodes
+    first_nodes = np.cumsum([0, *(len(submap.groups) for submap in submaps)]).tolist()
+    edges = [
+        *_edges_within_submaps(submaps, first_nodes),
+        *_edges_of_overlaps(submaps, first_nodes, views),
+    ]
+    edges += sorted(_edges_of_loops(submaps, first_nodes, matches), key=lambda edge: -edge.weight)
     paths = []
-    for similarities in optimise_sim3_graph(begins[-1], edges):
-        members = [number for number, begin in enumerate(begins[:-1]) if begin in similarities]
+    for similarities in optimise_sim3_graph(first_nodes[-1], edges):
+        submap_numbers = [
+            number
+            for number, first_node in enumerate(first_nodes[:-1])
+            if first_node in similarities
+        ]
         poses = _merge_poses(
-            [submaps[k] for k in members],
-            [[similarities[node] for node in range(*begins[k : k + 2])] for k in members],
+            [submaps[k] for k in submap_numbers],
+            [
+                [similarities[node] for node in range(*first_nodes[k : k + 2])]
+                for k in submap_numbers
+            ],
         )
         paths.append({views[view].frame: pose for view, pose in sorted(poses.items())})
     models, used_frames = [], set[int]()
-    # Submaps that cannot be joined both have the views of their overlap: the larger model keeps
-    # them.
+    # If two submaps cannot be joined, both have the views of their overlap: the larger model keeps
+    # these views.
     for path in sorted(paths, key=lambda path: (-len(path), min(path))):
         poses = {frame: pose for frame, pose in path.items() if frame not in used_frames}
         if len(poses) >= MAPPING.min_views:
@@ -114,9 +129,9 @@ def models_from_submaps(
     return sorted(models, key=lambda model: (-len(model.poses), min(model.poses)))
 
 
-def _edges_within_submaps(submaps: Sequence[Submap], begins: Sequence[int]) -> Iterator[Edge]:
+def _edges_within_submaps(submaps: Sequence[Submap], first_nodes: Sequence[int]) -> Iterator[Edge]:
     """Yield edges between groups of one submap: their coordinates already agree."""
-    for submap, begin in zip(submaps, begins[:-1], strict=True):
+    for submap, first_node in zip(submaps, first_nodes[:-1], strict=True):
         visibility = submap.visibility
         for first in range(len(submap.groups)):
             for second in range(first + 1, len(submap.groups)):
@@ -124,14 +139,17 @@ def _edges_within_submaps(submaps: Sequence[Submap], begins: Sequence[int]) -> I
                 if is_shared.sum() < SUBMAPS.min_shared_points:
                     if second > first + 1:
                         continue
-                    is_shared = visibility[first] | visibility[second]  # the submap stays connected
+                    # Neighbouring groups are always connected, if need be by all their points.
+                    is_shared = visibility[first] | visibility[second]
                 points = submap.points[is_shared]
                 distances = submap.distances(first, points)
-                yield _make_edge(begin + first, begin + second, np.eye(4), points, distances)
+                yield _make_edge(
+                    first_node + first, first_node + second, np.eye(4), points, distances
+                )
 
 
 def _edges_of_overlaps(
-    submaps: Sequence[Submap], begins: Sequence[int], views: Sequence[View]
+    submaps: Sequence[Submap], first_nodes: Sequence[int], views: Sequence[View]
 ) -> Iterator[Edge]:
     """Yield edges between groups of submaps with common views, from the tracks of these views."""
     for k, submap in enumerate(submaps):
@@ -139,11 +157,11 @@ def _edges_of_overlaps(
             shared = sorted(set(submap.poses) & set(other.poses))
             if len(shared) < 2:
                 continue
-            tracks, own_index, other_index = np.intersect1d(
+            tracks, indices, other_indices = np.intersect1d(
                 submap.tracks.tracks, other.tracks.tracks, assume_unique=True, return_indices=True
             )
-            points = submap.tracks.positions[own_index]
-            others = other.tracks.positions[other_index]
+            points = submap.tracks.positions[indices]
+            others = other.tracks.positions[other_indices]
             centre = submap.view_poses(shared)[:, :3, 3].mean(axis=0)
             distances = np.linalg.norm(points - centre, axis=1)
             fit = fit_sim3_ransac(points, others, distances)
@@ -157,11 +175,11 @@ def _edges_of_overlaps(
                 (submap.view_poses(shared), other.view_poses(shared)),
             )
             for first, second, common in _group_pairs(submap, other, shared):
-                visible = [views[view].observations.tracks for view in common]
-                is_shared = is_inlier & np.isin(tracks, np.unique(np.concatenate(visible)))
+                visible_tracks = [views[view].observations.tracks for view in common]
+                is_shared = is_inlier & np.isin(tracks, np.unique(np.concatenate(visible_tracks)))
                 if is_shared.sum() >= SUBMAPS.min_shared_points:
                     yield _make_edge(
-                        begins[k] + first, begins[n] + second, similarity,
+                        first_nodes[k] + first, first_nodes[n] + second, similarity,
                         points[is_shared], distances[is_shared],
                     )  # fmt: skip
 
@@ -178,7 +196,7 @@ def _group_pairs(
 
 
 def _edges_of_loops(
-    submaps: Sequence[Submap], begins: Sequence[int], matches: Matches
+    submaps: Sequence[Submap], first_nodes: Sequence[int], matches: Matches
 ) -> Iterator[Edge]:
     """Yield edges between groups of different submaps that show the same scene (loops)."""
     parts_of_edges: dict[tuple[int, int], list[tuple[np.ndarray, ...]]] = {}
@@ -194,14 +212,14 @@ def _edges_of_loops(
                     continue
                 points = submap.detected_at(earlier, indices[:, 0])
                 others = other.detected_at(later, indices[:, 1])
-                is_known = np.isfinite(points[:, 0]) & np.isfinite(others[:, 0])
-                if not is_known.any():
+                has_positions = np.isfinite(points[:, 0]) & np.isfinite(others[:, 0])
+                if not has_positions.any():
                     continue
                 first, second = submap.group_of(earlier), other.group_of(later)
-                distances = submap.distances(first, points[is_known])
-                parts_of_edges.setdefault((begins[k] + first, begins[n] + second), []).append(
-                    (points[is_known], others[is_known], distances)
-                )
+                distances = submap.distances(first, points[has_positions])
+                parts_of_edges.setdefault(
+                    (first_nodes[k] + first, first_nodes[n] + second), []
+                ).append((points[has_positions], others[has_positions], distances))
     for (first, second), parts in sorted(parts_of_edges.items()):
         points, others, distances = map(np.concatenate, zip(*parts, strict=True))
         _, unique = np.unique(np.hstack([points, others]), axis=0, return_index=True)
@@ -209,7 +227,9 @@ def _edges_of_loops(
         fit = fit_sim3_ransac(points, others, distances)
         if fit is not None:
             similarity, is_inlier = fit
-            points, others, distances = (one[is_inlier] for one in (points, others, distances))
+            points, others, distances = (
+                values[is_inlier] for values in (points, others, distances)
+            )
             deviation = float(np.median(relative_errors(similarity, points, others, distances)))
             yield _make_edge(first, second, similarity, points, distances, deviation, certain=False)
 
@@ -246,18 +266,18 @@ def _merge_poses(
     middle of the next group, and decrease towards both ends of a submap.
     """
     weighted_poses: dict[int, list[tuple[np.ndarray, float]]] = {}
-    for submap, of_groups in zip(submaps, similarities, strict=True):
+    for submap, group_similarities in zip(submaps, similarities, strict=True):
         middles = [float(np.mean(views)) for views in submap.groups]
         begin, end = submap.span
         for view, pose in submap.poses.items():
-            end_weight = min(view - begin + 1, end - view)  # small near both ends
+            end_weight = min(view - begin + 1, end - view)  # small near both ends of the submap
             position = float(np.interp(view, middles, np.arange(len(middles))))
             low = min(int(position), len(middles) - 1)
             high = min(low + 1, len(middles) - 1)
             for group, weight in ((low, 1 - position + low), (high, position - low)):
                 if weight > 0:
                     weighted_poses.setdefault(view, []).append(
-                        (transform_pose(of_groups[group], pose), weight * end_weight)
+                        (transform_pose(group_similarities[group], pose), weight * end_weight)
                     )
     return {
         view: mean_pose(*map(np.array, zip(*poses, strict=True)))

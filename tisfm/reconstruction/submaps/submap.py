@@ -20,14 +20,14 @@ class Submap:
     """Views of a span in one coordinate system."""
 
     span: tuple[int, int]  # the first view of the span, and the view after its last
-    # dict of int to (4, 4) float64: camera to world, by view, in order
+    # by view, in order: (4, 4) float64, camera to world
     poses: dict[int, np.ndarray]
     groups: list[list[int]]  # the views, divided into consecutive groups
     points: np.ndarray  # (P, 3) float64: the points that were adjusted together with the poses
     visibility: np.ndarray  # (G, P) bool: the points that the views of each group show
-    tracks: TrackPoints  # points of the tracks in views that are also in other spans
-    # dict of int to ((N,) int64, (N, 3) float64): by view: numbers and positions of detected points
-    # that match views of other spans
+    tracks: TrackPoints  # points of the tracks in views that also belong to other spans
+    # by view: numbers, (N,) int64, and positions, (N, 3) float64, of its detected points that match
+    # views of other spans
     detected: dict[int, tuple[np.ndarray, np.ndarray]]
 
     def group_of(self, view: int) -> int:
@@ -44,13 +44,15 @@ class Submap:
         return np.asarray(np.linalg.norm(points - middle, axis=1))
 
     def detected_at(self, view: int, numbers: np.ndarray) -> np.ndarray:
-        """Return the positions of detected points of a view, (N, 3); NaN for unknown ones."""
-        known, positions = self.detected[view]
+        """Return the positions of detected points of a view, (N, 3); NaN for unknown positions."""
+        numbers_with_position, positions = self.detected[view]
         result = np.full((len(numbers), 3), np.nan)
-        if len(known):
-            indices = np.searchsorted(known, numbers).clip(0, len(known) - 1)
-            is_known = known[indices] == numbers
-            result[is_known] = positions[indices[is_known]]
+        if len(numbers_with_position):
+            indices = np.searchsorted(numbers_with_position, numbers).clip(
+                0, len(numbers_with_position) - 1
+            )
+            has_position = numbers_with_position[indices] == numbers
+            result[has_position] = positions[indices[has_position]]
         return result
 
 
@@ -74,7 +76,7 @@ class SubmapBuilder:
         self._views, self._matches, self._spans = views, matches, spans
         self._camera, self._shape, self._group_size = camera, shape, group_size
         self._focal_known = is_focal_known
-        self._cross_span = _cross_span_points(matches, spans)
+        self._cross_span_numbers = _find_cross_span_points(matches, spans)
 
     def build_submaps(self) -> list[Submap]:
         """Return all submaps. One span may have several submaps."""
@@ -85,16 +87,19 @@ class SubmapBuilder:
             submaps[k] += self._continue_submap(self._spans[k], submaps[k], submaps[k - 1])
         for k in reversed(range(count - 1)):
             submaps[k] += self._continue_submap(self._spans[k], submaps[k], submaps[k + 1])
-        return [submap for of_span in submaps for submap in of_span]
+        return [submap for span_submaps in submaps for submap in span_submaps]
 
     def _continue_submap(
-        self, span: tuple[int, int], own: Sequence[Submap], others: Sequence[Submap]
+        self,
+        span: tuple[int, int],
+        span_submaps: Sequence[Submap],
+        neighbour_submaps: Sequence[Submap],
     ) -> list[Submap]:
         """Return submaps of the remaining views of a span, continued from a neighbour submap."""
-        remaining = set(range(*span)).difference(*(submap.poses for submap in own))
+        remaining = set(range(*span)).difference(*(submap.poses for submap in span_submaps))
         if len(remaining) < MAPPING.min_views:
             return []
-        for other in sorted(others, key=lambda submap: -len(submap.poses)):
+        for other in sorted(neighbour_submaps, key=lambda submap: -len(submap.poses)):
             poses = {view: pose for view, pose in other.poses.items() if span[0] <= view < span[1]}
             if len(poses) < 2:
                 continue
@@ -106,20 +111,20 @@ class SubmapBuilder:
     def _map_views(
         self, numbers: Sequence[int], poses: Mapping[int, np.ndarray] | None = None
     ) -> list[Submap]:
-        """Return submaps of some views, mapped by themselves or continued from known poses."""
+        """Return submaps of some views, mapped alone, or continued from known poses by view."""
         views = [self._views[k] for k in numbers]
         index_of = {view: k for k, view in enumerate(numbers)}
         matches = {
-            (index_of[earlier], index_of[later]): both
-            for (earlier, later), both in self._matches.items()
+            (index_of[earlier], index_of[later]): indices
+            for (earlier, later), indices in self._matches.items()
             if earlier in index_of and later in index_of
         }
         graph = ViewGraph.from_views(views, matches, self._shape, is_focal_known=self._focal_known)
         if poses is None:
             reconstructions = graph.grow_models(self._camera)
         else:
-            by_frame = {views[index_of[view]].frame: pose for view, pose in poses.items()}
-            reconstructions = [graph.continue_model(self._camera, by_frame)]
+            frame_poses = {views[index_of[view]].frame: pose for view, pose in poses.items()}
+            reconstructions = [graph.continue_model(self._camera, frame_poses)]
         return [
             self._make_submap(graph, reconstruction, views, numbers)
             for reconstruction in reconstructions
@@ -130,45 +135,53 @@ class SubmapBuilder:
         self, graph: ViewGraph, reconstruction: Any, views: Sequence[View], numbers: Sequence[int]
     ) -> Submap:
         model = graph.make_model(reconstruction)
-        mapped = [k for k, view in enumerate(views) if view.frame in model.poses]
-        groups = np.array_split(np.array(mapped), max(1, round(len(mapped) / self._group_size)))
+        mapped_views = [k for k, view in enumerate(views) if view.frame in model.poses]
+        groups = np.array_split(
+            np.array(mapped_views), max(1, round(len(mapped_views) / self._group_size))
+        )
         points, observations = _observed_points(reconstruction)
         shared_tracks = [
             views[k].observations.tracks
-            for k in mapped
+            for k in mapped_views
             if sum(begin <= numbers[k] < end for begin, end in self._spans) > 1
         ]
         return Submap(
             span=(numbers[0], numbers[-1] + 1),
-            poses={numbers[k]: model.poses[views[k].frame] for k in mapped},
+            poses={numbers[k]: model.poses[views[k].frame] for k in mapped_views},
             groups=[[numbers[k] for k in group] for group in groups],
             points=points,
             visibility=_group_visibility(observations, [k[-1] for k in groups], len(points)),
             tracks=model.points.select(np.concatenate([np.empty(0, np.int64), *shared_tracks])),
-            detected=_detected_points(graph, points, observations, numbers, self._cross_span),
+            detected=_detected_points(
+                graph, points, observations, numbers, self._cross_span_numbers
+            ),
         )
 
 
-def _cross_span_points(matches: Matches, spans: Sequence[tuple[int, int]]) -> dict[int, np.ndarray]:
-    """Return, by view, the detected points that match views outside every common span."""
+def _find_cross_span_points(
+    matches: Matches, spans: Sequence[tuple[int, int]]
+) -> dict[int, np.ndarray]:
+    """Return, by view, the numbers of detected points that match a view with no common span."""
     points: dict[int, list[np.ndarray]] = {}
-    for (earlier, later), both in matches.items():
+    for (earlier, later), indices in matches.items():
         if not any(begin <= earlier and later < end for begin, end in spans):
             for view, side in ((earlier, 0), (later, 1)):
-                points.setdefault(view, []).append(both[:, side])
+                points.setdefault(view, []).append(indices[:, side])
     return {view: np.unique(np.concatenate(parts)) for view, parts in points.items()}
 
 
 def _observed_points(reconstruction: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return the points of pycolmap's reconstruction, (P, 3), and their observations, (N, 3) int64.
 
-    Each observation has the number of the point, of the view, and of the point within the view; all
-    from 0.
+    Each observation has three numbers from 0: of the point, of the view, and of the point within
+    the view.
     """
     points, observations = [], []
     for number, (_, point) in enumerate(sorted(reconstruction.points3D.items())):
         points.append(np.array(point.xyz))
-        observations += [(number, e.image_id - 1, e.point2D_idx) for e in point.track.elements]
+        observations += [
+            (number, element.image_id - 1, element.point2D_idx) for element in point.track.elements
+        ]
     return np.array(points).reshape(-1, 3), np.array(observations, np.int64).reshape(-1, 3)
 
 
@@ -186,15 +199,21 @@ def _detected_points(
     numbers: Sequence[int],
     points_of_views: Mapping[int, np.ndarray],
 ) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """Return numbers and positions of the given detected points, by view, if they are mapped."""
-    mapped = {}
+    """Return, by view, the numbers and positions of those detected points that are mapped.
+
+    `points_of_views` has the numbers of the requested points of each view.
+    """
+    mapped_points = {}
     for k in np.unique(observations[:, 1]).tolist():
         view = numbers[k]
         if view not in points_of_views:
             continue
-        own = observations[observations[:, 1] == k]
-        detected = own[:, 2] - len(graph.views[k].observations.tracks)
-        is_given = np.isin(detected, points_of_views[view])
-        order = np.argsort(detected[is_given])
-        mapped[view] = detected[is_given][order], points[own[is_given, 0][order]]
-    return mapped
+        view_observations = observations[observations[:, 1] == k]
+        detected = view_observations[:, 2] - len(graph.views[k].observations.tracks)
+        is_requested = np.isin(detected, points_of_views[view])
+        order = np.argsort(detected[is_requested])
+        mapped_points[view] = (
+            detected[is_requested][order],
+            points[view_observations[is_requested, 0][order]],
+        )
+    return mapped_points
