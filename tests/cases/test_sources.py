@@ -126,7 +126,7 @@ def test_masks_are_in_the_same_order(tmp_path):
 )  # fmt: skip
 def test_reading_of_names(names, reading):
     found = parse_times(names)
-    assert (None if found is None else found.reading) == reading
+    assert (None if found is None else found.notation) == reading
     assert (increasing_times(names) is None) == (reading is None)
     files = [Path(f"{name}.png") for name in reversed(names)]
     assert reading is None or sort_by_name(files) == files[::-1]

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from tests.rendered import static_scene
 from tests.trajectory.paths import PATIENT
 from tisfm.metrics import certain_error, depth_errors, flicker, limited_error
-from tisfm.metrics.depth_sequence import LogMedian, depth_ratios, known_share
+from tisfm.metrics.depth_sequence import LogMedian, depth_ratios, estimated_share
 from tisfm.rigid import pose_matrix
 
 RNG = np.random.default_rng(0)
@@ -31,7 +31,7 @@ def test_it_is_the_error_of_pairs_in_a_given_scale(scale):
     with np.errstate(divide="ignore"):
         pair = depth_errors(1 / inverse, truth)
     assert limited_error(inverse, truth, scale=pair.scale) == pytest.approx(pair.abs_rel_all)
-    assert known_share(inverse, truth) == pytest.approx(pair.density)
+    assert estimated_share(inverse, truth) == pytest.approx(pair.density)
     assert np.median(depth_ratios(inverse, truth)) == pytest.approx(pair.scale)
     assert limited_error(inverse, truth, scale=2 * pair.scale) > pair.abs_rel_all
 
@@ -128,7 +128,7 @@ def test_the_median_of_none():
     assert LogMedian().median() is None
 
 
-@pytest.mark.parametrize("error", [limited_error, depth_ratios, known_share])
+@pytest.mark.parametrize("error", [limited_error, depth_ratios, estimated_share])
 def test_wrong_maps_are_refused(error):
     for inverse, truth, words in (
         (INVERSE[1:], TRUTH, "inverse_depth is .10, 13. and truth is .11, 13."),

@@ -146,7 +146,7 @@ def test_inputs_stay_and_frames_may_be_too_few():
 
 def test_errors_name_the_argument():
     path = random_path(np.random.default_rng(0), 4)
-    with pytest.raises(ValueError, match="are of 4, 3, 4, 4 frames: expected as many"):
+    with pytest.raises(ValueError, match="are of 4, 3, 4, 4 frames: expected the same number"):
         object_path_errors(path, path[1:], path, path)
     with pytest.raises(ValueError, match=r"cameras are \(4, 3, 4\): expected \(N, 4, 4\)"):
         object_path_errors(path, path, path[:, :3], path)

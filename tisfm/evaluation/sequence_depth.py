@@ -15,8 +15,8 @@ from tisfm.metrics.depth_sequence import (
     LogMedian,
     certain_error,
     depth_ratios,
+    estimated_share,
     flicker,
-    known_share,
     limited_error,
 )
 
@@ -168,7 +168,7 @@ def _frames(
                 frame=index,
                 error=error,
                 certain=certain,
-                share=known_share(inverse, true),
+                share=estimated_share(inverse, true),
                 scale=best[index],
                 flicker=change,
             )

@@ -1,4 +1,4 @@
-"""Files of optical flow, images and depth, records of runs, and folders for results.
+"""Files of optical flow, depth, images, labels and arrays.
 
 Readers refuse an incomplete file with a `FormatError` that names it. Writers leave a complete file
 or none, and refuse arrays with masked values, which no format can store.

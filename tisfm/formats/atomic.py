@@ -12,8 +12,8 @@ from tisfm.formats.reading import open_file
 
 TEMPORARY_PREFIX = ".tisfm-"
 TEMPORARY_SUFFIX = ".tmp"
-# Error numbers of a disk that is full, or fails, while a file is written.
-_DISK_ERRORS = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC), errno.EIO, errno.EFBIG)
+# Error numbers of a full or failing disk.
+_DISK_ERROR_NUMBERS = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC), errno.EIO, errno.EFBIG)
 # Bytes. Each write to the disk releases and takes Python's lock, for which other threads compete:
 # a large buffer needs few writes.
 _BUFFER_SIZE = 2**20
@@ -33,9 +33,9 @@ def atomic_write(path: str | os.PathLike[str], *, durable: bool = False) -> Iter
     path : str or os.PathLike
         File to write. Its folder must exist.
     durable : bool, default False
-        Wait until the file is on the disk, so that it is complete after a power failure as well.
-        That is slow: of the hundreds of files of a sequence only the record, which lists the
-        others, is written so.
+        Whether to wait until the file is on the disk, so that it is complete even after a power
+        failure. This is slow. Of the hundreds of files of a sequence, only the record, which lists
+        the others, is written in this way.
 
     Yields
     ------
@@ -85,7 +85,7 @@ def atomic_write(path: str | os.PathLike[str], *, durable: bool = False) -> Iter
     except BaseException as error:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(temporary)
-        if isinstance(error, OSError) and error.strerror and error.errno in _DISK_ERRORS:
+        if isinstance(error, OSError) and error.strerror and error.errno in _DISK_ERROR_NUMBERS:
             raise _explain_error(error, name, folder) from error
         raise
 
@@ -129,7 +129,7 @@ def _explain_error(error: OSError, name: str, folder: str) -> OSError:
     else:
         advice = f"{error.strerror}; give a path in another folder"
     # A class of a library may take other arguments: raise the built-in class that it derives from.
-    kind = next(one for one in type(error).__mro__ if one.__module__ == "builtins")
-    new_error: OSError = kind(f"cannot write {name}: {advice}")
+    error_class = next(base for base in type(error).__mro__ if base.__module__ == "builtins")
+    new_error: OSError = error_class(f"cannot write {name}: {advice}")
     new_error.errno = error.errno
     return new_error

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 # A spreadsheet takes a cell that begins with one of these as a formula.
-_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")
-_QUOTE = "'"  # at the beginning of a cell, it tells spreadsheets that the cell is text
+_FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")
+_QUOTE = "'"  # at the beginning of a cell: spreadsheets then read the cell as text
 
 
 def csv_table(
@@ -19,16 +19,16 @@ def csv_table(
     A text that begins like a formula, or with ``'``, gets a ``'`` in front: remove this ``'`` to
     get the original text. Numbers stay as they are.
     """
-    return "".join(_line([_quoted(cell) for cell in row]) for row in (columns, *rows))
+    return "".join(_format_line([_quote(cell) for cell in row]) for row in (columns, *rows))
 
 
-def _line(cells: Sequence[Any]) -> str:
-    """Return a line that ends in a line feed; cells with a line feed or a return are quoted."""
+def _format_line(cells: Sequence[Any]) -> str:
+    """Return a line that ends in a line feed; cells with a line break are quoted."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\r\n").writerow(cells)
     return text.getvalue().removesuffix("\r\n") + "\n"
 
 
-def _quoted(cell: Any) -> Any:
-    is_taken = isinstance(cell, str) and cell.startswith((*_FORMULA, _QUOTE))
-    return f"{_QUOTE}{cell}" if is_taken else cell
+def _quote(cell: Any) -> Any:
+    needs_quote = isinstance(cell, str) and cell.startswith((*_FORMULA_STARTS, _QUOTE))
+    return f"{_QUOTE}{cell}" if needs_quote else cell

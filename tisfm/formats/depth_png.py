@@ -11,7 +11,7 @@ from PIL import Image
 from tisfm.checks import check_unmasked
 from tisfm.errors import InputError
 from tisfm.formats.atomic import atomic_write
-from tisfm.formats.image_headers import missing_part
+from tisfm.formats.image_headers import find_missing_part
 from tisfm.formats.png import encode_png
 from tisfm.formats.reading import FormatError, read_bytes
 
@@ -55,8 +55,8 @@ def choose_depth_scale(depth: ArrayLike) -> float:
     valid = values[_is_valid(values)]
     if valid.size == 0:
         raise InputError(
-            f"depth has no finite positive value among {values.size}: there is nothing to choose "
-            "a scale from; take the scale of another pair of the sequence"
+            f"depth has no finite positive value among {values.size}: no scale can be "
+            "chosen; take the scale of another pair of the sequence"
         )
     return _MEDIAN_VALUE / float(np.median(valid))
 
@@ -72,7 +72,7 @@ def write_depth_png(path: str | os.PathLike[str], depth: ArrayLike, *, scale: fl
     path : str or os.PathLike
         File to write.
     depth : (H, W) array_like of real numbers
-        Depths in any unit. Missing are NaN, infinity, zero and negative values.
+        Depths in any unit. NaN, infinity, zero and negative values count as missing.
     scale : float
         File values per unit of depth, such as 5000 per metre (TUM) or 256 per metre (KITTI).
 
@@ -144,42 +144,42 @@ def read_depth_png(
     if scale is not None:
         _check_scale(scale)
     data = read_bytes(name)
-    missing = missing_part(data)
+    missing = find_missing_part(data)
     if missing is not None:
         raise FormatError(f"{name} is cut off after {len(data)} bytes: {missing} is missing")
     try:
         with Image.open(io.BytesIO(data), formats=["PNG"]) as picture:
             picture.load()
             # Older versions of Pillow widen 16-bit grey ("I;16") to 32 bits ("I").
-            kind = picture.mode
+            mode = picture.mode
             stored = np.asarray(picture)
-            stated = picture.info.get(_SCALE_KEYWORD)
+            scale_text = picture.info.get(_SCALE_KEYWORD)
     except MemoryError:
         raise
     except Exception as error:  # damaged files make Pillow's decoder raise many kinds of errors
         raise FormatError(f"{name} cannot be read as a depth PNG: {error}") from error
-    if kind not in ("I;16", "I;16B", "I"):
-        raise FormatError(f"{name} is a PNG of mode {kind}, expected 16-bit grey: not a depth file")
+    if mode not in ("I;16", "I;16B", "I"):
+        raise FormatError(f"{name} is a PNG of mode {mode}, expected 16-bit grey: not a depth file")
     if scale is None:
-        scale = _stated_scale(name, stated)
+        scale = _parse_scale(name, scale_text)
     depth = stored.astype(np.float64) / scale
     depth[stored == 0] = np.nan
     return depth.astype(np.float32)
 
 
-def _stated_scale(name: str, stated: object) -> float:
-    """Return the scale that a file states about itself."""
-    if stated is None:
+def _parse_scale(name: str, scale_text: object) -> float:
+    """Return the scale from the text chunk of a file."""
+    if scale_text is None:
         raise FormatError(
             f"{name} does not state its scale (no text chunk {_SCALE_KEYWORD!r}): give scale, "
             "for example 5000 per metre for TUM or 256 per metre for KITTI"
         )
     try:
-        scale = float(str(stated))
+        scale = float(str(scale_text))
         _check_scale(scale)
     except ValueError as error:
         raise FormatError(
-            f"{name} states the scale {stated!r}, expected a finite positive number: give scale"
+            f"{name} states the scale {scale_text!r}, expected a finite positive number: give scale"
         ) from error
     return scale
 

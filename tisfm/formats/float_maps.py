@@ -20,7 +20,7 @@ and the byte order. Its little-endian bytes read "PIEH"."""
 
 MAX_SIDE = 99_999
 """Largest width and height, px. Middlebury's readers of .flo files and Sintel's readers of .dpt
-files take a larger one for a damaged header."""
+files treat a larger side as a damaged header."""
 
 _TAG = struct.pack("<f", TAG)
 _HEADER = struct.Struct("<4sii")  # tag, width, height
@@ -34,17 +34,18 @@ def read_tagged(
 ) -> NDArray[np.float32]:  # (H, W, channels) float32 ndarray: values as stored
     """Read a file with a tag, int32 width and height, and float32 values, the top row first.
 
-    Raises FormatError if the tag is wrong, the size absurd, or the file shorter or longer than its
-    header says.
+    Raises FormatError if the tag is wrong, a side is not from 1 to 99999, or the file is shorter or
+    longer than its header says.
 
     Raises OSError if the file does not exist or cannot be read.
     """
     name = os.fspath(path)
     data = read_bytes(name)
     if data[:4] != _TAG[: len(data)]:
-        order = ", it was written big-endian" if data[:4] == _TAG[::-1] else ""
+        order_note = ", it was written big-endian" if data[:4] == _TAG[::-1] else ""
         raise FormatError(
-            f"{name} is not a {suffix} file: it starts with {data[:4]!r}, expected {_TAG!r}{order}"
+            f"{name} is not a {suffix} file: it starts with {data[:4]!r}, expected {_TAG!r}"
+            f"{order_note}"
         )
     if len(data) < _HEADER.size:
         raise FormatError(
@@ -84,11 +85,15 @@ def write_tagged(
 
     Raises OSError if the file cannot be written.
     """
-    array = as_real(name, values)
-    inner = (channels,) if channels > 1 else ()
-    possible = all(1 <= side <= MAX_SIDE for side in array.shape[:2])
-    if array.ndim != 2 + len(inner) or array.shape[2:] != inner or not possible:
-        shape = f"(H, W, {channels})" if inner else "(H, W)"
+    array = check_real_numbers(name, values)
+    channel_shape = (channels,) if channels > 1 else ()
+    has_valid_size = all(1 <= side <= MAX_SIDE for side in array.shape[:2])
+    if (
+        array.ndim != 2 + len(channel_shape)
+        or array.shape[2:] != channel_shape
+        or not has_valid_size
+    ):
+        shape = f"(H, W, {channels})" if channel_shape else "(H, W)"
         raise InputError(
             f"{name} is {array.shape}, expected {shape} with H and W from 1 to {MAX_SIDE}"
         )
@@ -98,7 +103,7 @@ def write_tagged(
         file.write(np.ascontiguousarray(array, "<f4").data)
 
 
-def as_real(name: str, values: ArrayLike) -> NDArray[np.generic]:
+def check_real_numbers(name: str, values: ArrayLike) -> NDArray[np.generic]:
     """Return an array of real numbers without a mask, or raise an error that names it."""
     array = check_unmasked(values, name)
     if array.dtype.kind not in "iuf":
@@ -124,7 +129,8 @@ def read_flo(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     Raises
     ------
     FormatError
-        If the tag is wrong, the size absurd, or the file shorter or longer than its header says.
+        If the tag is wrong, a side is not from 1 to 99999, or the file is shorter or longer than
+        its header says.
     OSError
         If the file does not exist or cannot be read.
 
@@ -147,7 +153,7 @@ def read_flo(path: str | os.PathLike[str]) -> NDArray[np.float32]:
 
 
 def write_flo(path: str | os.PathLike[str], flow: ArrayLike) -> None:
-    """Write a flow field to a Middlebury .flo file, whole or not at all.
+    """Write a flow field to a Middlebury .flo file; after an error there is no incomplete file.
 
     Parameters
     ----------
@@ -202,7 +208,8 @@ def read_dpt(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     Raises
     ------
     FormatError
-        If the tag is wrong, the size absurd, or the file shorter or longer than its header says.
+        If the tag is wrong, a side is not from 1 to 99999, or the file is shorter or longer than
+        its header says.
     OSError
         If the file does not exist or cannot be read.
 
@@ -223,7 +230,7 @@ def read_dpt(path: str | os.PathLike[str]) -> NDArray[np.float32]:
 
 
 def write_dpt(path: str | os.PathLike[str], depth: ArrayLike) -> None:
-    """Write depth to a Sintel .dpt file, whole or not at all.
+    """Write depth to a Sintel .dpt file; after an error there is no incomplete file.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ from tisfm.formats.srgb import linear_from_srgb, srgb_from_linear
 if TYPE_CHECKING:
     from trimesh import Scene
 
-_FLOAT = 5126  # componentType of float32 in the specification
+_FLOAT32_TYPE = 5126  # componentType of float32 in the glTF specification
 UNLIT = "KHR_materials_unlit"
 """Extension of glTF for a material that viewers show in its own colours, without shading."""
 
@@ -42,8 +42,8 @@ def glb_points(
     """Return coloured points."""
     from trimesh import PointCloud, Scene  # slow to import
 
-    opaque = np.column_stack([colors, np.full(len(colors), 255, np.uint8)])
-    return _export(Scene(PointCloud(positions, colors=opaque)), colors)
+    opaque_colors = np.column_stack([colors, np.full(len(colors), 255, np.uint8)])
+    return _export(Scene(PointCloud(positions, colors=opaque_colors)), colors)
 
 
 def srgb_from_light(light: NDArray[np.floating] | NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -78,7 +78,7 @@ def _export(scene: "Scene", colors: NDArray[np.uint8]) -> bytes:
         accessor = list(tree["accessors"].values())[primitive["attributes"]["COLOR_0"]]
         del accessor["normalized"]
         bounds = {"min": light.min(axis=0).tolist(), "max": light.max(axis=0).tolist()}
-        accessor.update(componentType=_FLOAT, type="VEC3", **bounds)
+        accessor.update(componentType=_FLOAT32_TYPE, type="VEC3", **bounds)
         buffers[list(buffers)[accessor["bufferView"]]] = light.tobytes()
 
     data = export_glb(

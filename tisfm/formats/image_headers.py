@@ -29,7 +29,7 @@ TIFF_SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 _RADIANCE_SIZE = re.compile(rb"[-+][XY] +(\d{1,18}) +[-+][XY] +(\d{1,18})\s")
 _PFM_SIZE = re.compile(rb"\AP[Ff]\s+(\d{1,18})\s+(\d{1,18})\s+[-+.\deE]+\s")
-_FLOAT_HEADER = 64 * 1024  # bytes of the file in which the size of a Radiance file is looked for
+_MAX_FLOAT_HEADER = 64 * 1024  # bytes: a Radiance or PFM file states its size before
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # samples per pixel, by colour type
 _DEFLATE_RATIO = 1032  # bytes that one byte of a deflate stream unpacks to, at most
 # NumPy types of TIFF value types: byte, ASCII, short, long, rational (as bytes), ... long8, ifd8.
@@ -42,7 +42,7 @@ _STRIP_TAGS = (273, 279)  # StripOffsets, StripByteCounts
 _TILE_TAGS = (324, 325)  # TileOffsets, TileByteCounts
 
 
-def missing_part(
+def find_missing_part(
     data: bytes,  # the whole file
 ) -> str | None:
     """Name the first part of a PNG or TIFF file that lies beyond the end of the file.
@@ -79,10 +79,10 @@ def refuse_large_image(
 def _stated_pixels(data: bytes) -> int | None:
     """Return the number of pixels that a file states; None if its format is unknown."""
     if data.startswith(FLOAT_SIGNATURES):
-        size = _RADIANCE_SIZE if data.startswith(b"#?") else _PFM_SIZE
+        pattern = _RADIANCE_SIZE if data.startswith(b"#?") else _PFM_SIZE
         # The largest of several matches: a comment may contain a size as well.
         return max(
-            (int(match[1]) * int(match[2]) for match in size.finditer(data[:_FLOAT_HEADER])),
+            (int(match[1]) * int(match[2]) for match in pattern.finditer(data[:_MAX_FLOAT_HEADER])),
             default=None,
         )
     if data.startswith(TIFF_SIGNATURES):
@@ -104,18 +104,18 @@ def _stated_pixels(data: bytes) -> int | None:
 
 def _missing_part_of_png(data: bytes) -> str | None:
     """Walk the chunks (length, type, payload, check sum) up to the end mark."""
-    position, packed, pixels = len(SIGNATURE), 0, 0
+    position, packed_bytes, pixel_bytes = len(SIGNATURE), 0, 0
     while position + 12 <= len(data):
-        length, kind = struct.unpack_from(">I4s", data, position)
-        if kind == b"IHDR" and length == 13 and position + 25 <= len(data):
+        length, chunk_type = struct.unpack_from(">I4s", data, position)
+        if chunk_type == b"IHDR" and length == 13 and position + 25 <= len(data):
             width, height, bits, colour_type = struct.unpack_from(">IIBB", data, position + 8)
-            pixels = height * -(-width * bits * _PNG_CHANNELS.get(colour_type, 1) // 8)
-        if kind == b"IDAT":
-            packed += length
+            pixel_bytes = height * -(-width * bits * _PNG_CHANNELS.get(colour_type, 1) // 8)
+        if chunk_type == b"IDAT":
+            packed_bytes += length
         position += 12 + length
-        if kind == b"IEND" and position <= len(data):
+        if chunk_type == b"IEND" and position <= len(data):
             # A header with a false size would make decoders allocate memory for missing pixels.
-            return None if pixels <= _DEFLATE_RATIO * packed else "part of its pixels"
+            return None if pixel_bytes <= _DEFLATE_RATIO * packed_bytes else "part of its pixels"
     return "its end mark"
 
 
@@ -137,7 +137,7 @@ def _missing_part_of_tiff(data: bytes) -> str | None:
     for offsets_tag, lengths_tag in (_STRIP_TAGS, _TILE_TAGS):
         offsets = values.get(offsets_tag, np.empty(0)).tolist()
         lengths = values.get(lengths_tag, np.empty(0)).tolist()
-        # Some writers leave one of the two tags out: then only decoding tells.
+        # Some writers leave one of the two tags out: then only decoding finds missing pixels.
         if any(start + length > len(data) for start, length in zip(offsets, lengths, strict=False)):
             return "part of its pixels"
     return None
@@ -145,26 +145,26 @@ def _missing_part_of_tiff(data: bytes) -> str | None:
 
 def _tiff_values(data: bytes) -> tuple[dict[int, NDArray[np.generic]], str | None]:
     """Return the integers of the first directory by their tags, and the part that is missing."""
-    order = "<" if data[:2] == b"II" else ">"
-    big = 43 in data[2:4]  # BigTIFF: 64-bit offsets and counts
-    offset_type, count_type = ("Q", "Q") if big else ("I", "H")
-    (directory,) = struct.unpack_from(order + offset_type, data, 8 if big else 4)
-    (entries,) = struct.unpack_from(order + count_type, data, directory)
-    position = directory + struct.calcsize(order + count_type)
+    byte_order = "<" if data[:2] == b"II" else ">"
+    is_big_tiff = 43 in data[2:4]  # BigTIFF: 64-bit offsets and counts
+    offset_type, count_type = ("Q", "Q") if is_big_tiff else ("I", "H")
+    (directory,) = struct.unpack_from(byte_order + offset_type, data, 8 if is_big_tiff else 4)
+    (entries,) = struct.unpack_from(byte_order + count_type, data, directory)
+    position = directory + struct.calcsize(byte_order + count_type)
     values: dict[int, NDArray[np.generic]] = {}
     for _ in range(entries):
-        tag, kind, count = struct.unpack_from(order + "HH" + offset_type, data, position)
-        inline = struct.calcsize(order + offset_type)
-        start = position + 4 + inline
-        position = start + inline
-        if kind not in _TIFF_TYPES or count == 0:
+        tag, value_type, count = struct.unpack_from(byte_order + "HH" + offset_type, data, position)
+        inline_bytes = struct.calcsize(byte_order + offset_type)
+        start = position + 4 + inline_bytes
+        position = start + inline_bytes
+        if value_type not in _TIFF_TYPES or count == 0:
             continue  # a type of a later version, or no value: readers skip such entries
-        dtype = np.dtype(order + _TIFF_TYPES[kind])
-        if dtype.itemsize * count > inline:
-            (start,) = struct.unpack_from(order + offset_type, data, start)
+        dtype = np.dtype(byte_order + _TIFF_TYPES[value_type])
+        if dtype.itemsize * count > inline_bytes:
+            (start,) = struct.unpack_from(byte_order + offset_type, data, start)
         if start + dtype.itemsize * count > len(data):
             return values, f"the value of its tag {tag}"
         if dtype.kind in "ui":
             values[tag] = np.frombuffer(data, dtype, count, start)
-    struct.unpack_from(order + offset_type, data, position)  # the offset of the next directory
+    struct.unpack_from(byte_order + offset_type, data, position)  # the offset of the next directory
     return values, None

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-Reading = Literal["decimals", "nanoseconds", "integers"]
+Notation = Literal["decimals", "nanoseconds", "integers"]
 
 _EPOCH_NANOSECONDS = re.compile(r"\d{19}")  # since 1970
 _FLOAT = r"(-?\d+(?:\.\d+)?(?:e[+-]\d{2,})?)"  # as Python prints a float
@@ -24,7 +24,7 @@ _SIGN_OR_EXPONENT = re.compile("[-e]")
 _MAX_EVEN_DEVIATION = 0.1  # unevenness (see `_unevenness`) up to which steps count as even
 _MAX_NANOSECOND_DIGITS = 9
 _MIN_NANOSECOND_DIGITS = 7  # some name must have as many: 1 ms or more after a full second
-_MAX_IMAGE_DIGITS = 4  # digits of the number of an image behind the number of its take
+_MAX_IMAGE_DIGITS = 4  # digits of the number of an image after the number of its take
 _MIN_STEP = 1e-4  # s; a smaller median step means numbers of frames or versions, not times
 
 
@@ -35,8 +35,8 @@ class ParsedTimes:
     seconds: tuple[float, ...]  # times in the order of the names
     # the notation: seconds with decimals; seconds, a point and nanoseconds without leading zeros;
     # or a whole number of nanoseconds
-    reading: Reading
-    # whether one name alone is ambiguous, and only all names together tell the notation: the digits
+    notation: Notation
+    # whether one name alone is ambiguous, and only all names together show the notation: the digits
     # after the point differ in number, or a name has a minus or an exponent
     is_inferred: bool
 
@@ -44,7 +44,7 @@ class ParsedTimes:
         """Return a note on how inferred times were read; "" if they were not inferred."""
         if not self.is_inferred:
             return ""
-        if self.reading == "decimals":
+        if self.notation == "decimals":
             return (
                 "the names of the pictures are read as seconds with decimals, and sorted by value: "
                 f"{stems[0]} comes first, {stems[-1]} last"
@@ -79,11 +79,11 @@ def parse_times(
     if prefix_and_numbers is None:
         return None
     prefix, numbers = prefix_and_numbers
-    lengths = {len(_fraction(number)) for number in numbers}
+    digit_counts = {len(_fraction(number)) for number in numbers}
     is_inferred = any(map(_SIGN_OR_EXPONENT.search, numbers))
-    if lengths == {0} or (0 in lengths and len(stems) < 3):
+    if digit_counts == {0} or (0 in digit_counts and len(stems) < 3):
         return None
-    if len(lengths) == 1:
+    if len(digit_counts) == 1:
         if prefix:
             return None  # frame_1.05 may be a version and a number
         return _require_finite(ParsedTimes(tuple(map(float, numbers)), "decimals", is_inferred))
@@ -216,7 +216,7 @@ def _require_finite(times: ParsedTimes) -> ParsedTimes | None:
 def _take_unevenness(numbers: Sequence[str]) -> float:
     """Return the unevenness of the steps within the takes, for names that are take.image.
 
-    Infinite if the names cannot be such, or if there are fewer than two steps.
+    Infinite if the names do not have this form, or if there are fewer than two steps.
     """
     takes: dict[str, list[int]] = {}
     for number in numbers:

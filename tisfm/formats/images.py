@@ -19,7 +19,7 @@ from tisfm.formats.image_headers import (
     FLOAT_SIGNATURES,
     PILLOW_FORMATS,
     TIFF_SIGNATURES,
-    missing_part,
+    find_missing_part,
     refuse_large_image,
 )
 from tisfm.formats.png import SIGNATURE, encode_png
@@ -32,7 +32,7 @@ IMAGE_SUFFIXES = (
 
 _BITS_PER_SAMPLE = 258  # tag of TIFF
 _EXTRA_SAMPLES = 338  # tag of TIFF
-_UNASSOCIATED_ALPHA = (2,)  # value of that tag: colours are not multiplied by the transparency
+_UNASSOCIATED_ALPHA = (2,)  # value of _EXTRA_SAMPLES: colours not multiplied by transparency
 # First bytes of PNG and JPEG, of which Pillow can read every kind.
 _PILLOW_SIGNATURES = (SIGNATURE, b"\xff\xd8\xff")
 # First bytes of formats of which OpenCV reads kinds that Pillow does not: TIFF, PFM, Radiance.
@@ -86,7 +86,7 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
     """
     name = os.fspath(path)
     data = read_bytes(name)
-    missing = missing_part(data)
+    missing = find_missing_part(data)
     if missing is not None:
         raise FormatError(f"{name} is cut off after {len(data)} bytes: {missing} is missing")
     if data.startswith(FLOAT_SIGNATURES):
@@ -94,9 +94,9 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
     decoded = _check_with_pillow(name, data)
     if decoded is not None:
         return decoded
-    image = decode(name, data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+    image = decode_with_opencv(name, data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
     if image is None:  # OpenCV reads a float TIFF with transparency only with this flag
-        image = decode(name, data, cv2.IMREAD_UNCHANGED)
+        image = decode_with_opencv(name, data, cv2.IMREAD_UNCHANGED)
         if image is not None and image.ndim == 3:
             image = image[..., :3]
     if image is None:
@@ -147,14 +147,14 @@ def write_png(path: str | os.PathLike[str], image: NDArray[Any]) -> None:
     image = image.astype(image.dtype.newbyteorder("="), copy=False)
     if image.dtype not in (np.uint8, np.uint16):
         raise InputTypeError(f"image has dtype {image.dtype}, expected uint8 or uint16: convert it")
-    colour = image.ndim == 3 and image.shape[2] == 3
-    if image.size == 0 or not (image.ndim == 2 or colour):
+    is_colour = image.ndim == 3 and image.shape[2] == 3
+    if image.size == 0 or not (image.ndim == 2 or is_colour):
         raise InputError(f"image is {image.shape}, expected (H, W) or (H, W, 3) with some pixels")
     with atomic_write(path) as file:
         file.writelines(encode_png(image))
 
 
-def decode(name: str, data: bytes, flags: int) -> NDArray[Any] | None:
+def decode_with_opencv(name: str, data: bytes, flags: int) -> NDArray[Any] | None:
     """Return the image that OpenCV decodes, blue first; None if OpenCV cannot decode it.
 
     MemoryError if memory does not suffice.
@@ -178,10 +178,10 @@ def _check_with_pillow(name: str, data: bytes) -> NDArray[np.uint8] | None:
             refuse_large_image(name, data, picture.width * picture.height)
             picture.load()
             alpha_kind = getattr(picture, "tag_v2", {}).get(_EXTRA_SAMPLES)
-            unassociated = alpha_kind == _UNASSOCIATED_ALPHA
-            if picture.mode == "RGBA" and unassociated and _has_eight_bits(picture):
-                upright = ImageOps.exif_transpose(picture)
-                return np.ascontiguousarray(np.asarray(upright)[..., :3])
+            is_unassociated = alpha_kind == _UNASSOCIATED_ALPHA
+            if picture.mode == "RGBA" and is_unassociated and _has_eight_bits(picture):
+                upright_picture = ImageOps.exif_transpose(picture)
+                return np.ascontiguousarray(np.asarray(upright_picture)[..., :3])
     except (Image.DecompressionBombError, Image.DecompressionBombWarning):
         # Larger than Pillow's own limit: not checked. (The warning is an exception only where the
         # application turned warnings into errors.)

@@ -6,14 +6,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tisfm.errors import InputError
-from tisfm.formats.float_maps import as_real
+from tisfm.formats.float_maps import check_real_numbers
 from tisfm.formats.images import read_image, write_png
 from tisfm.formats.reading import FormatError
 
-_ZERO = 2**15  # file value of no motion
-_STEPS = 64  # file values per pixel of motion
-_MIN_FLOW = -_ZERO / _STEPS  # px
-_MAX_FLOW = (2**16 - 1 - _ZERO) / _STEPS  # px
+_ZERO_VALUE = 2**15  # file value of no motion
+_VALUES_PER_PIXEL = 64  # file values per pixel of motion
+_MIN_FLOW = -_ZERO_VALUE / _VALUES_PER_PIXEL  # px
+_MAX_FLOW = (2**16 - 1 - _ZERO_VALUE) / _VALUES_PER_PIXEL  # px
 
 
 def read_kitti_flow(path: str | os.PathLike[str]) -> NDArray[np.float32]:
@@ -57,20 +57,23 @@ def read_kitti_flow(path: str | os.PathLike[str]) -> NDArray[np.float32]:
             f"{os.fspath(path)} is a picture of {channels} x {stored.dtype}, expected 3 x uint16: "
             "not a KITTI flow file"
         )
-    flow = (stored[..., :2].astype(np.float32) - np.float32(_ZERO)) / np.float32(_STEPS)
+    flow = (stored[..., :2].astype(np.float32) - np.float32(_ZERO_VALUE)) / np.float32(
+        _VALUES_PER_PIXEL
+    )
     flow[stored[..., 2] == 0] = np.nan
     return flow
 
 
 def write_kitti_flow(path: str | os.PathLike[str], flow: ArrayLike) -> None:
-    """Write a flow field to a KITTI flow PNG, whole or not at all.
+    """Write a flow field to a KITTI flow PNG; after an error there is no incomplete file.
 
     Parameters
     ----------
     path : str or os.PathLike
         File to write.
     flow : (H, W, 2) array_like of real numbers
-        Flow (u, v), px, rounded to 1/64 px. NaN in either component is written as not valid.
+        Flow (u, v), px, rounded to 1/64 px. A pixel with NaN in either component is written as not
+        valid.
 
     Raises
     ------
@@ -90,18 +93,18 @@ def write_kitti_flow(path: str | os.PathLike[str], flow: ArrayLike) -> None:
     >>> read_kitti_flow("flow.png")[0, 0].tolist()  # in steps of 1/64 px
     [1.25, 1.25]
     """
-    values = as_real("flow", flow).astype(np.float64)
+    values = check_real_numbers("flow", flow).astype(np.float64)
     if values.ndim != 3 or values.shape[2] != 2 or values.size == 0:
         raise InputError(f"flow is {values.shape}, expected (H, W, 2) with some pixels")
     valid = ~np.isnan(values).any(axis=2)
-    known = values[valid]
-    levels = np.rint(known * _STEPS) + _ZERO
-    outside = (levels < 0) | (levels >= 2**16)
-    if outside.any():
+    valid_flow = values[valid]
+    levels = np.rint(valid_flow * _VALUES_PER_PIXEL) + _ZERO_VALUE
+    is_outside = (levels < 0) | (levels >= 2**16)
+    if is_outside.any():
         raise InputError(
             f"flow is outside {_MIN_FLOW:g} to {_MAX_FLOW} px, the range of a KITTI flow PNG, at "
-            f"{np.count_nonzero(outside.any(axis=1))} pixels, for instance "
-            f"{known[outside][0]:g}: set unknown flow to NaN, or write a .flo file"
+            f"{np.count_nonzero(is_outside.any(axis=1))} pixels, for instance "
+            f"{valid_flow[is_outside][0]:g}: set unknown flow to NaN, or write a .flo file"
         )
     stored = np.zeros((*valid.shape, 3), np.uint16)
     stored[valid, :2] = levels

@@ -10,7 +10,7 @@ from PIL import Image
 
 from tisfm.errors import InputError
 from tisfm.formats.atomic import atomic_write
-from tisfm.formats.image_headers import PILLOW_FORMATS, missing_part
+from tisfm.formats.image_headers import PILLOW_FORMATS, find_missing_part
 from tisfm.formats.reading import FormatError, read_bytes
 
 
@@ -30,16 +30,16 @@ def read_label_picture(
     try:
         with Image.open(io.BytesIO(data), formats=PILLOW_FORMATS) as picture:
             picture.load()
-            kind, values = picture.mode, np.asarray(picture)
+            mode, values = picture.mode, np.asarray(picture)
     except MemoryError:
         raise
     except Exception as error:  # damaged files make Pillow's decoder raise many kinds of errors
         raise FormatError(f"{name} cannot be read as a picture of labels: {error}") from error
-    if kind == "RGB" and (values == values[..., :1]).all():
+    if mode == "RGB" and (values == values[..., :1]).all():
         return np.ascontiguousarray(values[..., 0])
-    if kind not in ("1", "L", "P"):
+    if mode not in ("1", "L", "P"):
         raise FormatError(
-            f"{name} is a picture of mode {kind}: expected labels, indexed or grey of 8 bits"
+            f"{name} is a picture of mode {mode}: expected labels, indexed or grey of 8 bits"
         )
     return values.astype(np.uint8)
 
@@ -69,7 +69,7 @@ def has_colour_palette(path: str | os.PathLike[str]) -> bool:
 def _read_complete(name: str) -> bytes:
     """Return the bytes of an image file; FormatError if it is shorter than it states."""
     data = read_bytes(name)
-    missing = missing_part(data)
+    missing = find_missing_part(data)
     if missing is not None:
         raise FormatError(f"{name} is cut off after {len(data)} bytes: {missing} is missing")
     return data

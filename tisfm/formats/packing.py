@@ -23,7 +23,7 @@ STEP = 2.0**-10
 """Step that values are rounded to: image motion, px/frame, and values from 0 to 1."""
 
 SIGNIFICANT_BITS = 12
-"""Bits that are kept of a number without a step."""
+"""Significant bits of a number that is rounded without a step."""
 
 _DROPPED_BITS = 24 - SIGNIFICANT_BITS  # float32 has 24 significant bits
 _COMPRESSION_LEVEL = 1  # of ISA-L's levels 0 to 3
@@ -53,7 +53,7 @@ class Packing:
         return {"shape": list(self.shape), "of": self.integer_type, "step": self.step}
 
     @classmethod
-    def from_json(cls, about: Any, kinds: Collection[str]) -> "Packing":
+    def from_json(cls, about: Any, types: Collection[str]) -> "Packing":
         """Return the packing that `to_json` wrote; its integers must be of one of these types.
 
         Raises ValueError if `about` is anything else.
@@ -66,9 +66,9 @@ class Packing:
                 f"has the packed shape {shape!r}: expected a list of positive whole numbers, such "
                 "as [480, 640]"
             )
-        if integer_type not in kinds:
-            raise InputError(f"is packed as {integer_type!r}, expected {' or '.join(kinds)}")
-        if integer_type in _FIXED_POINT_TYPES and kinds == _FIXED_POINT_TYPES:
+        if integer_type not in types:
+            raise InputError(f"is packed as {integer_type!r}, expected {' or '.join(types)}")
+        if integer_type in _FIXED_POINT_TYPES and types == _FIXED_POINT_TYPES:
             if not (isinstance(step, float) and 0 < step <= 1):
                 raise InputError(f"is packed in steps of {step!r}, expected 0 to 1")
         elif step is not None:
@@ -81,7 +81,7 @@ def pack(
     *,
     row_axis: int,  # the axis along which differences are taken
     # A power of two: float32 values are rounded to multiples of it, or of a smaller power of two
-    # where all values are small: at most 2⁻¹² of the largest one. Without a step, each value is
+    # if all values are small: at most 2⁻¹² of the largest value. Without a step, each value is
     # rounded to 12 significant bits.
     step: float | None = None,
 ) -> tuple[NDArray[np.uint8], Packing] | None:
@@ -93,11 +93,11 @@ def pack(
             return None
         integers = _leading_bits(array)
     else:
-        largest = _largest(array)
-        if not largest <= step * _MAX_STEPS:  # so also if `largest` is NaN
+        max_magnitude = _max_magnitude(array)
+        if not max_magnitude <= step * _MAX_STEPS:  # so also if `max_magnitude` is NaN
             return None
-        step = _step_for(largest, step)
-        integers = _fixed_point(array, step, largest)
+        step = _step_for(max_magnitude, step)
+        integers = _fixed_point(array, step, max_magnitude)
     packing = Packing(shape=array.shape, integer_type=integers.dtype.name, step=step)
     return _compress(integers, row_axis), packing
 
@@ -119,43 +119,45 @@ def unpack(
         return np.multiply(integers, np.float32(packing.step), dtype=np.float32)
     if kind == np.float32:
         return (integers << np.uint32(_DROPPED_BITS)).view(np.float32)
-    same_size = integers.itemsize == kind.itemsize
-    return integers.view(kind) if same_size else integers.astype(kind)
+    has_same_size = integers.itemsize == kind.itemsize
+    return integers.view(kind) if has_same_size else integers.astype(kind)
 
 
 def round_as_packed(values: NDArray[np.float32], step: float) -> NDArray[np.float32]:
     """Return float32 values as they are after packing with a step and unpacking."""
-    largest = _largest(values)
-    if not largest <= step * _MAX_STEPS:
+    max_magnitude = _max_magnitude(values)
+    if not max_magnitude <= step * _MAX_STEPS:
         return values
-    step = _step_for(largest, step)
-    return np.multiply(_fixed_point(values, step, largest), np.float32(step), dtype=np.float32)
+    step = _step_for(max_magnitude, step)
+    return np.multiply(
+        _fixed_point(values, step, max_magnitude), np.float32(step), dtype=np.float32
+    )
 
 
-def _largest(values: NDArray[np.float32]) -> float:
+def _max_magnitude(values: NDArray[np.float32]) -> float:
     """Return the largest absolute value; NaN if any value is NaN."""
     return float(max(values.max(initial=0.0), -values.min(initial=0.0)))
 
 
-def _step_for(largest: float, step: float) -> float:
+def _step_for(max_magnitude: float, step: float) -> float:
     """Return the step for values up to the largest one, at most `step`.
 
     Rounding values that were rounded with this step changes nothing.
     """
-    if largest == 0:
+    if max_magnitude == 0:
         return step
-    power = 2.0 ** math.frexp(largest)[1]
-    fine = 2.0 ** -(SIGNIFICANT_BITS + 1) * power
-    if round(largest / fine) * fine >= power:  # rounded, the largest value has the next exponent
-        fine *= 2
-    return min(step, max(fine, 2.0**-126))
+    power = 2.0 ** math.frexp(max_magnitude)[1]
+    fine_step = 2.0 ** -(SIGNIFICANT_BITS + 1) * power
+    if round(max_magnitude / fine_step) * fine_step >= power:  # rounding increases the exponent
+        fine_step *= 2
+    return min(step, max(fine_step, 2.0**-126))
 
 
 def _fixed_point(
-    values: NDArray[np.float32], step: float, largest: float
+    values: NDArray[np.float32], step: float, max_magnitude: float
 ) -> NDArray[np.signedinteger]:
     """Return the nearest multiples of a step, as int16 if they are small enough, else as int32."""
-    is_small = largest / step < np.iinfo(np.int16).max
+    is_small = max_magnitude / step < np.iinfo(np.int16).max
     depth, kind = (cv2.CV_16S, np.int16) if is_small else (cv2.CV_32S, np.int32)
     flat = np.ascontiguousarray(values).reshape(-1, values.shape[-1])
     # OpenCV rounds half to even as NumPy does, several times as fast.
@@ -166,8 +168,8 @@ def _fixed_point(
 def _leading_bits(values: NDArray[np.float32]) -> NDArray[np.uint32]:
     """Return sign, exponent and leading bits, rounded half to even; infinity stays infinity."""
     bits = np.ascontiguousarray(values).view(np.uint32)
-    odd = bits >> _DROPPED_BITS & 1
-    return bits + (odd + np.uint32(2 ** (_DROPPED_BITS - 1) - 1)) >> _DROPPED_BITS
+    odd_bit = bits >> _DROPPED_BITS & 1
+    return bits + (odd_bit + np.uint32(2 ** (_DROPPED_BITS - 1) - 1)) >> _DROPPED_BITS
 
 
 def _compress(integers: NDArray[np.integer], row_axis: int) -> NDArray[np.uint8]:
@@ -178,26 +180,26 @@ def _compress(integers: NDArray[np.integer], row_axis: int) -> NDArray[np.uint8]
     planes = np.empty((width, *images.shape), np.uint8)
     rows = max(1, _BLOCK_SIZE // (images.shape[2] * width))
     scratch = np.empty((rows, images.shape[2]), numbers.dtype)
-    largest = 0
+    all_bits = 0
     for number, image in enumerate(images):
-        for first in range(0, len(image), rows):
-            codes = scratch[: len(image) - first]
-            _encode_rows(image, first, codes)
-            largest |= int(np.bitwise_or.reduce(codes, axis=None))
+        for first_row in range(0, len(image), rows):
+            codes = scratch[: len(image) - first_row]
+            _encode_rows(image, first_row, codes)
+            all_bits |= int(np.bitwise_or.reduce(codes, axis=None))
             for plane, part in zip(planes, _byte_planes(codes), strict=True):
-                plane[number, first : first + len(codes)] = part
-    used = max(1, -(-largest.bit_length() // 8))
+                plane[number, first_row : first_row + len(codes)] = part
+    used_planes = max(1, -(-all_bits.bit_length() // 8))
     return np.frombuffer(
-        isal_zlib.compress(planes[:used].reshape(-1), _COMPRESSION_LEVEL), np.uint8
+        isal_zlib.compress(planes[:used_planes].reshape(-1), _COMPRESSION_LEVEL), np.uint8
     )
 
 
-def _encode_rows(image: NDArray[Any], first: int, codes: NDArray[Any]) -> None:
-    """Write the codes of the differences of some rows of an image, from row `first` on."""
-    if first == 0:
+def _encode_rows(image: NDArray[Any], first_row: int, codes: NDArray[Any]) -> None:
+    """Write the codes of the differences of some rows of an image, from row `first_row` on."""
+    if first_row == 0:
         codes[0] = image[0]
-    begin, end = max(first, 1), first + len(codes)
-    np.subtract(image[begin:end], image[begin - 1 : end - 1], out=codes[begin - first :])
+    begin, end = max(first_row, 1), first_row + len(codes)
+    np.subtract(image[begin:end], image[begin - 1 : end - 1], out=codes[begin - first_row :])
     # Small differences of either sign get small codes: 0, -1, 1, -2, 2 become 0, 1, 2, 3, 4.
     signs = codes.view(f"<i{codes.itemsize}") >> 8 * codes.itemsize - 1
     codes <<= 1
@@ -209,14 +211,14 @@ def _decompress(
 ) -> NDArray[Any]:
     """Return the integers of a stream."""
     count, width = math.prod(shape), kind.itemsize
-    inflate = zlib.decompressobj()
+    decompressor = zlib.decompressobj()
     try:
-        data = inflate.decompress(stream.tobytes(), width * count + 1)
+        data = decompressor.decompress(stream.tobytes(), width * count + 1)
     except zlib.error as error:
         raise InputError(f"is not a zlib stream: {error}") from error
     planes = len(data) // count
-    complete = inflate.eof and not inflate.unused_data and len(data) == planes * count
-    if not (complete and 1 <= planes <= width):
+    is_complete = decompressor.eof and not decompressor.unused_data and len(data) == planes * count
+    if not (is_complete and 1 <= planes <= width):
         raise InputError(f"is not a zlib stream of {count} numbers of at most {width} bytes")
     codes = np.zeros(count, f"<u{width}")
     columns = codes.view(np.uint8).reshape(count, width)

@@ -1,8 +1,8 @@
 """PNG files, encoded fast.
 
-Deflate takes nearly all of the time of writing a PNG; by zlib, as in libpng, it takes longer than
-half an interpretation of a pair. ISA-L's deflate takes a fifth to a tenth of that time, for files
-of about the same size, and no library that writes PNG uses it: hence this encoder.
+Deflate takes nearly all of the time of writing a PNG. With zlib, as in libpng, that is more than
+half of the time of interpreting a pair. ISA-L's deflate takes a fifth to a tenth of that time, for
+files of about the same size, and no library that writes PNG uses it: hence this encoder.
 """
 
 import struct
@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 """The first bytes of every PNG file."""
 
-_GREY = 0  # colour type of the header
-_COLOUR = 2  # colour type of the header
-_UP = 2  # filter type: every byte less the byte above it
+_GREY_TYPE = 0  # colour type of the header
+_COLOUR_TYPE = 2  # colour type of the header
+_UP_FILTER = 2  # filter type: every byte less the byte above it
 # Of ISA-L's levels 0 to 3: its files are a fifth smaller than those of level 0, and hardly larger
 # than those of 2 and 3.
 _COMPRESSION_LEVEL = 1
@@ -31,7 +31,7 @@ def encode_png(
     # blue; not empty
     image: NDArray[Any],
     texts: Mapping[str, str] | None = None,  # text chunks by their keyword, both in ASCII
-) -> Iterator[bytes]:  # each the parts of the file, in order
+) -> Iterator[bytes]:  # the parts of the file, in order
     """Encode an image.
 
     References
@@ -39,7 +39,7 @@ def encode_png(
     W3C, "Portable Network Graphics (PNG) Specification", ISO/IEC 15948.
     """
     height, width = image.shape[:2]
-    colour_type = _COLOUR if image.ndim == 3 else _GREY
+    colour_type = _COLOUR_TYPE if image.ndim == 3 else _GREY_TYPE
     yield SIGNATURE
     header = (width, height, 8 * image.itemsize, colour_type, 0, 0, 0)
     yield from _chunk(b"IHDR", struct.pack(">IIBBBBB", *header))
@@ -53,13 +53,13 @@ def encode_png(
 
 def _filter_rows(image: NDArray[Any]) -> NDArray[np.uint8]:
     """Return the rows as filtered bytes, each row after its filter type; high bytes come first."""
-    ordered = np.ascontiguousarray(image, image.dtype.newbyteorder(">"))
-    rows = ordered.view(np.uint8).reshape(len(image), -1)
-    filtered = np.empty((len(rows), 1 + rows.shape[1]), np.uint8)
-    filtered[:, 0] = _UP
-    filtered[0, 1:] = rows[0]  # the row above the first one counts as zeros
-    np.subtract(rows[1:], rows[:-1], out=filtered[1:, 1:])
-    return filtered
+    big_endian = np.ascontiguousarray(image, image.dtype.newbyteorder(">"))
+    rows = big_endian.view(np.uint8).reshape(len(image), -1)
+    filtered_rows = np.empty((len(rows), 1 + rows.shape[1]), np.uint8)
+    filtered_rows[:, 0] = _UP_FILTER
+    filtered_rows[0, 1:] = rows[0]  # the row above the first one counts as zeros
+    np.subtract(rows[1:], rows[:-1], out=filtered_rows[1:, 1:])
+    return filtered_rows
 
 
 def _chunk(kind: bytes, payload: bytes) -> Iterator[bytes]:

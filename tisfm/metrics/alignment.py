@@ -8,7 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 from tisfm.checks import check_unmasked
 from tisfm.errors import InputError
 
-_MIN_SPREAD = 1e-12  # of the largest coordinate: points that spread less count as one point
+# Spread of points over their largest coordinate: with less spread they count as one point.
+_MIN_SPREAD = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,13 +41,13 @@ class Similarity:
 
 
 def align(points: ArrayLike, truth: ArrayLike, *, with_scale: bool = True) -> Similarity:
-    """Return the similarity that minimises the sum of squared distances from points to others.
+    """Return the similarity that minimises the sum of squared distances of points from true points.
 
     Parameters
     ----------
     points, truth : array_like, shape (N, 3)
-        N ≥ 1. If all points lie on a line, or are one point, the rotation is not unique: one of the
-        best is returned. The scale is 1 if all points are one point.
+        N ≥ 1. If all points lie on a line, or are one point, several rotations are best, and one of
+        them is returned. The scale is 1 if all points are one point.
     with_scale : bool, default True
         If False, the scale is 1: the similarity is a rigid motion.
 
@@ -70,27 +71,29 @@ def align(points: ArrayLike, truth: ArrayLike, *, with_scale: bool = True) -> Si
     >>> import numpy as np
     >>> from tisfm.metrics import align
     >>> points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
-    >>> found = align(points, 2 * points + (1, 0, 0))
-    >>> round(found.scale, 6), found.translation.round(6).tolist()
+    >>> similarity = align(points, 2 * points + (1, 0, 0))
+    >>> round(similarity.scale, 6), similarity.translation.round(6).tolist()
     (2.0, [1.0, 0.0, 0.0])
     """
-    source, target = _points(points, "points"), _points(truth, "truth")
+    source, target = _check_points(points, "points"), _check_points(truth, "truth")
     if source.shape != target.shape:
         raise InputError(
             f"points are {source.shape} and truth is {target.shape}: expected the same number"
         )
-    centre, goal = source.mean(axis=0), target.mean(axis=0)
-    centred_source, centred_goal = source - centre, target - goal
-    u, values, vt = np.linalg.svd(centred_goal.T @ centred_source / len(source))
+    source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
+    centred_source, centred_target = source - source_mean, target - target_mean
+    u, singular_values, vt = np.linalg.svd(centred_target.T @ centred_source / len(source))
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
     rotation = u * signs @ vt
     spread = float(np.square(centred_source).sum(axis=1).mean())
     is_point = spread <= (_MIN_SPREAD * np.abs(source).max()) ** 2
-    scale = float(values @ signs / spread) if with_scale and not is_point else 1.0
-    return Similarity(scale=scale, rotation=rotation, translation=goal - scale * rotation @ centre)
+    scale = float(singular_values @ signs / spread) if with_scale and not is_point else 1.0
+    return Similarity(
+        scale=scale, rotation=rotation, translation=target_mean - scale * rotation @ source_mean
+    )
 
 
-def _points(values: ArrayLike, name: str) -> NDArray[np.float64]:
+def _check_points(values: ArrayLike, name: str) -> NDArray[np.float64]:
     array = check_unmasked(values, name, np.float64)
     if array.ndim != 2 or array.shape[1] != 3 or not len(array):
         raise InputError(f"{name} are {array.shape}: expected (N, 3), N at least 1")

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from tisfm.checks import check_unmasked
 from tisfm.errors import InputError
 from tisfm.metrics.depth_sequence import MAX_DEPTH_RATIO, MIN_DEPTH_RATIO
-from tisfm.metrics.valid_pixels import is_known, mask_or_all
+from tisfm.metrics.valid_pixels import compared_pixels, is_known
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,7 @@ class DepthErrors:
     >>> from tisfm.metrics import depth_errors
     >>> truth = np.full((3, 4), 2.0)
     >>> depth = truth.copy()
-    >>> depth[0, :3] = np.nan  # nothing was found there
+    >>> depth[0, :3] = np.nan  # no estimate there
     >>> errors = depth_errors(depth, truth)
     >>> errors.density, errors.delta1
     (0.75, 1.0)
@@ -78,8 +78,8 @@ def depth_errors(
     Returns
     -------
     DepthErrors
-        Estimates that are not finite and positive lower the density, and are in no other error but
-        `abs_rel_all`.
+        Estimates that are not finite and positive lower the density, and count in no other error
+        but `abs_rel_all`.
 
     Raises
     ------
@@ -98,15 +98,15 @@ def depth_errors(
     >>> import numpy as np
     >>> from tisfm.metrics import depth_errors
     >>> truth = np.linspace(2, 4, 12).reshape(3, 4)
-    >>> errors = depth_errors(truth / 2, truth)  # right but for its scale
+    >>> errors = depth_errors(truth / 2, truth)  # correct apart from its scale
     >>> round(errors.abs_rel, 6), round(errors.scale, 6)
     (0.0, 2.0)
     """
-    d, true, valid, known, scale = _depths(depth, truth, mask, align)
-    all_true = true[known]
-    nearest, farthest = MIN_DEPTH_RATIO * all_true.min(), MAX_DEPTH_RATIO * all_true.max()
-    everywhere = np.where(valid, d, farthest)[known].clip(nearest, farthest)
-    d, true = d[valid], true[valid]
+    d, true, has_both, has_truth, scale = _align_depths(depth, truth, mask, align)
+    known_truth = true[has_truth]
+    min_depth, max_depth = MIN_DEPTH_RATIO * known_truth.min(), MAX_DEPTH_RATIO * known_truth.max()
+    limited = np.where(has_both, d, max_depth)[has_truth].clip(min_depth, max_depth)
+    d, true = d[has_both], true[has_both]
     log_ratio = np.log(d) - np.log(true)
     ratio = np.maximum(d / true, true / d)
     delta1, delta2, delta3 = (float((ratio < 1.25**power).mean()) for power in (1, 2, 3))
@@ -119,8 +119,8 @@ def depth_errors(
         delta3=delta3,
         silog=float(100 * log_ratio.std()),
         scale=scale,
-        density=float(np.count_nonzero(valid) / np.count_nonzero(known)),
-        abs_rel_all=float((np.abs(everywhere - all_true) / all_true).mean()),
+        density=float(np.count_nonzero(has_both) / np.count_nonzero(has_truth)),
+        abs_rel_all=float((np.abs(limited - known_truth) / known_truth).mean()),
     )
 
 
@@ -153,13 +153,13 @@ def depth_error_map(
     >>> depth_error_map(truth * 1.25, truth, align=None).tolist()
     [[0.25, 0.25], [0.25, 0.25]]
     """
-    d, true, valid, _, _ = _depths(depth, truth, mask, align)
-    error = np.full(valid.shape, np.nan)
-    error[valid] = np.abs(d[valid] - true[valid]) / true[valid]
+    d, true, has_both, _, _ = _align_depths(depth, truth, mask, align)
+    error = np.full(has_both.shape, np.nan)
+    error[has_both] = np.abs(d[has_both] - true[has_both]) / true[has_both]
     return error
 
 
-def _depths(
+def _align_depths(
     depth: ArrayLike, truth: ArrayLike, mask: ArrayLike | None, align: str | None
 ) -> tuple[NDArray, NDArray, NDArray, NDArray, float]:
     """Check and align two depths.
@@ -175,14 +175,14 @@ def _depths(
         raise InputError(
             f"depth is {estimate.shape} and truth is {true.shape}: expected the same shape, (H, W)"
         )
-    known = is_known(true) & (true > 0) & mask_or_all(mask, true.shape)
-    if not known.any():
+    has_truth = is_known(true) & (true > 0) & compared_pixels(mask, true.shape)
+    if not has_truth.any():
         raise InputError(f"no pixel of the {true.shape} truth is known, positive and in the mask")
-    valid = known & np.isfinite(estimate) & (estimate > 0)
-    if not valid.any():
+    has_both = has_truth & np.isfinite(estimate) & (estimate > 0)
+    if not has_both.any():
         raise InputError(
             f"no pixel of the {estimate.shape} depth is finite and positive where the truth is "
-            f"known: {np.count_nonzero(known)} pixels are"
+            f"known: {np.count_nonzero(has_truth)} pixels are"
         )
-    scale = 1.0 if align is None else float(np.median(true[valid] / estimate[valid]))
-    return estimate * scale, true, valid, known, scale
+    scale = 1.0 if align is None else float(np.median(true[has_both] / estimate[has_both]))
+    return estimate * scale, true, has_both, has_truth, scale

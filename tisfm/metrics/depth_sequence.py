@@ -8,11 +8,11 @@ from tisfm.errors import InputError
 from tisfm.metrics.valid_pixels import is_known
 
 # Definitions of these measures, set by hand:
-CERTAIN_SHARE = 0.4  # share of the pixels, those of the smallest relative deviation
+CERTAIN_SHARE = 0.4  # share of the pixels: those with the smallest relative deviation
 MAX_ERROR = 3.0  # relative error to which the error of a pixel is limited
-MAX_DEPTH_DIFFERENCE = 0.02  # relative difference of two depths up to which they count as one point
-MIN_DEPTH_RATIO = 0.1  # of the smallest true depth: lower limit of an estimate
-MAX_DEPTH_RATIO = 10.0  # of the largest true depth: upper limit of an estimate
+MAX_DEPTH_DIFFERENCE = 0.02  # relative difference of two depths of one visible point
+MIN_DEPTH_RATIO = 0.1  # lower limit of an estimate over the smallest true depth
+MAX_DEPTH_RATIO = 10.0  # upper limit of an estimate over the largest true depth
 
 
 def limited_error(inverse_depth: ArrayLike, truth: ArrayLike, *, scale: float = 1.0) -> float:
@@ -45,15 +45,15 @@ def limited_error(inverse_depth: ArrayLike, truth: ArrayLike, *, scale: float = 
     >>> limited_error(1 / (1.25 * truth), truth)
     0.25
     """
-    inverse, true, known = _maps(inverse_depth, truth)
-    inverse, true = inverse[known], true[known]
-    valid = _valid(inverse)
-    if not valid.any():
+    inverse, true, has_truth = _check_maps(inverse_depth, truth)
+    inverse, true = inverse[has_truth], true[has_truth]
+    has_estimate = _has_estimate(inverse)
+    if not has_estimate.any():
         return 1.0
-    farthest = MAX_DEPTH_RATIO * true.max()
-    depth = np.full(len(true), farthest)
-    depth[valid] = scale / inverse[valid]
-    depth = depth.clip(MIN_DEPTH_RATIO * true.min(), farthest)
+    max_depth = MAX_DEPTH_RATIO * true.max()
+    depth = np.full(len(true), max_depth)
+    depth[has_estimate] = scale / inverse[has_estimate]
+    depth = depth.clip(MIN_DEPTH_RATIO * true.min(), max_depth)
     return float((np.abs(depth - true) / true).mean())
 
 
@@ -76,8 +76,8 @@ def certain_error(
     scale : float, default 1
         Factor of the depth before comparing.
     share : float, default 0.4
-        Share of the pixels with known truth that counts. The error of a pixel is limited to 3; a
-        pixel without an estimate has the error 3.
+        Share of the pixels with known truth that are compared. The error of a pixel is limited to
+        3; a pixel without an estimate has the error 3.
 
     Returns
     -------
@@ -94,25 +94,27 @@ def certain_error(
     >>> from tisfm.metrics import certain_error
     >>> truth = np.full((2, 2), 2.0)
     >>> inverse_depth = np.array([[0.5, 0.5], [0.4, 0.4]])  # the second row is wrong
-    >>> deviation = np.array([[0.01, 0.01], [0.2, 0.2]])  # and says so
+    >>> deviation = np.array([[0.01, 0.01], [0.2, 0.2]])  # and uncertain
     >>> certain_error(inverse_depth, deviation, truth, share=0.5)
     0.0
     """
-    inverse, true, known = _maps(inverse_depth, truth)
+    inverse, true, has_truth = _check_maps(inverse_depth, truth)
     sigma = check_unmasked(deviation, "deviation", np.float64)
-    if sigma.shape != known.shape:
+    if sigma.shape != has_truth.shape:
         raise InputError(
-            f"deviation is {sigma.shape} and inverse_depth is {known.shape}: expected the same "
+            f"deviation is {sigma.shape} and inverse_depth is {has_truth.shape}: expected the same "
             "shape"
         )
-    inverse, sigma, true = inverse[known], sigma[known], true[known]
-    valid = _valid(inverse) & np.isfinite(sigma)
-    relative, error = np.full(len(true), np.inf), np.full(len(true), MAX_ERROR)
-    relative[valid] = sigma[valid] / inverse[valid]
-    positive = _valid(inverse)
-    error[positive] = np.abs(scale / inverse[positive] - true[positive]) / true[positive]
-    order = np.argsort(relative, kind="stable")[: max(1, round(share * len(true)))]
-    return float(np.minimum(error[order], MAX_ERROR).mean())
+    inverse, sigma, true = inverse[has_truth], sigma[has_truth], true[has_truth]
+    has_deviation = _has_estimate(inverse) & np.isfinite(sigma)
+    relative_deviation, error = np.full(len(true), np.inf), np.full(len(true), MAX_ERROR)
+    relative_deviation[has_deviation] = sigma[has_deviation] / inverse[has_deviation]
+    has_estimate = _has_estimate(inverse)
+    error[has_estimate] = (
+        np.abs(scale / inverse[has_estimate] - true[has_estimate]) / true[has_estimate]
+    )
+    most_certain = np.argsort(relative_deviation, kind="stable")[: max(1, round(share * len(true)))]
+    return float(np.minimum(error[most_certain], MAX_ERROR).mean())
 
 
 def flicker(
@@ -160,53 +162,58 @@ def flicker(
     >>> import numpy as np
     >>> from tisfm.metrics import flicker
     >>> truth = np.full((12, 16), 2.0)
-    >>> same, brighter = (0.5 * np.ones((12, 16)), truth), (0.55 * np.ones((12, 16)), truth)
-    >>> at_rest = np.eye(4)
-    >>> round(flicker(same, brighter, at_rest, focal=16.0, center=(7.5, 5.5)), 6)
+    >>> first, second = (0.5 * np.ones((12, 16)), truth), (0.55 * np.ones((12, 16)), truth)
+    >>> motion = np.eye(4)  # the camera does not move
+    >>> round(flicker(first, second, motion, focal=16.0, center=(7.5, 5.5)), 6)
     0.1
     """
-    (inverse0, true0, known0), (inverse1, true1, known1) = _maps(*first), _maps(*second)
+    (inverse0, true0, known0), (inverse1, true1, known1) = (
+        _check_maps(*first),
+        _check_maps(*second),
+    )
     if known0.shape != known1.shape:
         raise InputError(
             f"the first frame is {known0.shape} and the second is {known1.shape}: expected the "
             "same size"
         )
-    rows, columns = np.nonzero(known0 & _valid(inverse0))
+    rows, columns = np.nonzero(known0 & _has_estimate(inverse0))
     z = true0[rows, columns]
     rays = np.stack([(columns - center[0]) / focal, (rows - center[1]) / focal, np.ones(len(z))])
     matrix = np.asarray(motion, np.float64)
     points = matrix[:3, :3] @ (rays * z) + matrix[:3, 3:]
-    ahead = points[2] > 0
-    rows, columns, points = rows[ahead], columns[ahead], points[:, ahead]
+    is_in_front = points[2] > 0
+    rows, columns, points = rows[is_in_front], columns[is_in_front], points[:, is_in_front]
     x = np.rint(focal * points[0] / points[2] + center[0])
     y = np.rint(focal * points[1] / points[2] + center[1])
     height, width = known1.shape
-    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    rows, columns, depth = rows[inside], columns[inside], points[2, inside]
-    there = y[inside].astype(np.intp), x[inside].astype(np.intp)
-    same = known1[there] & _valid(inverse1[there])
-    same &= np.abs(np.where(same, true1[there], np.inf) - depth) <= MAX_DEPTH_DIFFERENCE * depth
-    if not same.any():
+    is_inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    rows, columns, depth = rows[is_inside], columns[is_inside], points[2, is_inside]
+    target = y[is_inside].astype(np.intp), x[is_inside].astype(np.intp)
+    is_same = known1[target] & _has_estimate(inverse1[target])
+    is_same &= (
+        np.abs(np.where(is_same, true1[target], np.inf) - depth) <= MAX_DEPTH_DIFFERENCE * depth
+    )
+    if not is_same.any():
         return None
-    before = inverse0[rows[same], columns[same]] * true0[rows[same], columns[same]]
-    after = inverse1[there][same] * true1[there][same]
+    before = inverse0[rows[is_same], columns[is_same]] * true0[rows[is_same], columns[is_same]]
+    after = inverse1[target][is_same] * true1[target][is_same]
     return float(np.abs(after - before).mean() / scale)
 
 
 def depth_ratios(inverse_depth: ArrayLike, truth: ArrayLike) -> NDArray[np.float64]:
     """Return the ratios d* / d, (K,), of the pixels with known truth and an estimate."""
-    inverse, true, known = _maps(inverse_depth, truth)
-    counted = known & _valid(inverse)
-    return np.asarray(true[counted] * inverse[counted])
+    inverse, true, has_truth = _check_maps(inverse_depth, truth)
+    is_compared = has_truth & _has_estimate(inverse)
+    return np.asarray(true[is_compared] * inverse[is_compared])
 
 
-def known_share(inverse_depth: ArrayLike, truth: ArrayLike) -> float:
+def estimated_share(inverse_depth: ArrayLike, truth: ArrayLike) -> float:
     """Return the share of the pixels with known truth that have an estimate."""
-    inverse, _, known = _maps(inverse_depth, truth)
-    return float(_valid(inverse[known]).mean())
+    inverse, _, has_truth = _check_maps(inverse_depth, truth)
+    return float(_has_estimate(inverse[has_truth]).mean())
 
 
-def _maps(inverse_depth: ArrayLike, truth: ArrayLike) -> tuple[NDArray, NDArray, NDArray]:
+def _check_maps(inverse_depth: ArrayLike, truth: ArrayLike) -> tuple[NDArray, NDArray, NDArray]:
     """Return inverse depth and truth as float64, and where the truth is known."""
     inverse = check_unmasked(inverse_depth, "inverse_depth", np.float64)
     true = check_unmasked(truth, "truth", np.float64)
@@ -215,18 +222,18 @@ def _maps(inverse_depth: ArrayLike, truth: ArrayLike) -> tuple[NDArray, NDArray,
             f"inverse_depth is {inverse.shape} and truth is {true.shape}: expected the same shape, "
             "(H, W)"
         )
-    known = is_known(true) & (true > 0)
-    if not known.any():
+    has_truth = is_known(true) & (true > 0)
+    if not has_truth.any():
         raise InputError(f"no pixel of the {true.shape} truth is known and positive")
-    return inverse, true, known
+    return inverse, true, has_truth
 
 
-def _valid(inverse: NDArray) -> NDArray[np.bool_]:
+def _has_estimate(inverse: NDArray) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(inverse) & (inverse > 0))
 
 
-_BIN_WIDTH = 1e-4  # of the natural logarithm
-_MAX_LOG = 70.0  # of the natural logarithm, ±; values beyond count as the bound
+_BIN_WIDTH = 1e-4  # natural logarithm
+_MAX_LOG = 70.0  # natural logarithm of the largest value, and of 1 / the smallest
 
 
 class LogMedian:

@@ -45,12 +45,12 @@ def std_coverage(
     >>> import numpy as np
     >>> from tisfm.metrics import std_coverage
     >>> truth = np.full((2, 2), 0.5)
-    >>> found = np.array([[0.5, 0.52], [0.48, 0.9]])
-    >>> std_coverage(found, np.full((2, 2), 0.05), truth)
+    >>> estimate = np.array([[0.5, 0.52], [0.48, 0.9]])
+    >>> std_coverage(estimate, np.full((2, 2), 0.05), truth)
     0.75
     """
-    times = error_in_deviations(inverse_depth, inverse_depth_std, truth, mask)
-    return float((times <= 1).mean())
+    error_ratio = error_in_deviations(inverse_depth, inverse_depth_std, truth, mask)
+    return float((error_ratio <= 1).mean())
 
 
 def error_in_deviations(
@@ -64,28 +64,28 @@ def error_in_deviations(
     Parameters and exceptions are those of `std_coverage`. The result is 0 for an infinite deviation
     and NaN for a deviation of NaN.
     """
-    found = check_unmasked(inverse_depth, "inverse_depth", np.float64)
+    estimate = check_unmasked(inverse_depth, "inverse_depth", np.float64)
     deviation = check_unmasked(inverse_depth_std, "inverse_depth_std", np.float64)
     true = check_unmasked(truth, "truth", np.float64)
-    counts = np.isfinite(true) & (true > 0)
+    is_compared = np.isfinite(true) & (true > 0)
     shapes = {"inverse_depth_std": deviation.shape, "truth": true.shape}
     if mask is not None:
         shapes["mask"] = np.shape(mask)
     for name, shape in shapes.items():
-        if shape != found.shape:
+        if shape != estimate.shape:
             raise InputError(
-                f"inverse_depth is {found.shape} and {name} is {shape}: expected the same shape"
+                f"inverse_depth is {estimate.shape} and {name} is {shape}: expected the same shape"
             )
     if mask is not None:
-        counts &= check_mask(mask, "mask")
-    ratio = found[counts] * true[counts]
+        is_compared &= check_mask(mask, "mask")
+    ratio = estimate[is_compared] * true[is_compared]
     if not (ratio > 0).any():
         raise InputError(
-            f"no pixel of the {found.shape} inverse depth is positive where the truth is known "
+            f"no pixel of the {estimate.shape} inverse depth is positive where the truth is known "
             "and the mask allows: nothing can be compared"
         )
-    error = np.abs(found[counts] - np.median(ratio[ratio > 0]) / true[counts])
+    error = np.abs(estimate[is_compared] - np.median(ratio[ratio > 0]) / true[is_compared])
     with np.errstate(divide="ignore", invalid="ignore"):
-        off = error / deviation[counts]
-    off[(error == 0) & (deviation[counts] == 0)] = 0.0
-    return off
+        error_ratio = error / deviation[is_compared]
+    error_ratio[(error == 0) & (deviation[is_compared] == 0)] = 0.0
+    return error_ratio

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import check_unmasked
 from tisfm.errors import InputError
-from tisfm.metrics.valid_pixels import is_known, mask_or_all
+from tisfm.metrics.valid_pixels import compared_pixels, is_known
 
 
 def endpoint_error_map(
@@ -41,10 +41,10 @@ def endpoint_error_map(
     >>> endpoint_error_map(truth + (3, 4), truth).tolist()
     [[nan, 5.0], [5.0, 5.0]]
     """
-    estimate, truth, counts = _flows(flow, truth, mask)
-    counts &= np.isfinite(estimate).all(axis=-1)
-    error = np.full(counts.shape, np.nan)
-    error[counts] = _length(estimate[counts] - truth[counts])
+    estimate, truth, is_compared = _check_flows(flow, truth, mask)
+    is_compared &= np.isfinite(estimate).all(axis=-1)
+    error = np.full(is_compared.shape, np.nan)
+    error[is_compared] = _length(estimate[is_compared] - truth[is_compared])
     return error
 
 
@@ -64,8 +64,8 @@ def endpoint_error(flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None 
     Raises
     ------
     ValueError
-        If shapes differ, a value is masked, no pixel counts, or the flow is not finite where one
-        does.
+        If shapes differ, a value is masked, no pixel counts, or the flow is not finite at a pixel
+        that counts.
 
     References
     ----------
@@ -80,8 +80,8 @@ def endpoint_error(flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None 
     >>> endpoint_error(truth + (3, 4), truth)
     5.0
     """
-    estimate, known = _finite_pairs(flow, truth, mask)
-    return float(_length(estimate - known).mean())
+    estimate, true_flow = _finite_flows(flow, truth, mask)
+    return float(_length(estimate - true_flow).mean())
 
 
 def angular_error(flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None = None) -> float:
@@ -100,8 +100,8 @@ def angular_error(flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None =
     Raises
     ------
     ValueError
-        If shapes differ, a value is masked, no pixel counts, or the flow is not finite where one
-        does.
+        If shapes differ, a value is masked, no pixel counts, or the flow is not finite at a pixel
+        that counts.
 
     References
     ----------
@@ -116,11 +116,11 @@ def angular_error(flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None =
     >>> round(angular_error(truth + (1, 0), truth), 6)  # between (1, 0, 1) and (0, 0, 1)
     45.0
     """
-    estimate, known = _finite_pairs(flow, truth, mask)
-    dot = (estimate * known).sum(axis=-1) + 1
+    estimate, true_flow = _finite_flows(flow, truth, mask)
+    dot = (estimate * true_flow).sum(axis=-1) + 1
     # The length of (u, v, 1) × (u*, v*, 1). An arc cosine would lose small angles to rounding.
-    turn = estimate[:, 0] * known[:, 1] - estimate[:, 1] * known[:, 0]
-    cross = np.hypot(_length(estimate - known), turn)
+    flow_cross = estimate[:, 0] * true_flow[:, 1] - estimate[:, 1] * true_flow[:, 0]
+    cross = np.hypot(_length(estimate - true_flow), flow_cross)
     return float(np.degrees(np.arctan2(cross, dot)).mean())
 
 
@@ -139,9 +139,9 @@ def outlier_rate(
     flow, truth, mask
         As in `endpoint_error_map`.
     pixels : float, default 3
-        Least error of an outlier, px.
+        Smallest error of an outlier, px.
     fraction : float, default 0.05
-        Least error of an outlier as a fraction of the true displacement. Both bounds must hold.
+        Smallest error of an outlier as a fraction of the true displacement. Both bounds must hold.
         A flow that is not finite is an outlier.
 
     Returns
@@ -169,12 +169,12 @@ def outlier_rate(
     >>> outlier_rate(flow, truth)
     0.25
     """
-    estimate, truth, counts = _flows(flow, truth, mask)
-    estimate, known = estimate[counts], truth[counts]
-    finite = np.isfinite(estimate).all(axis=-1)
-    error = _length(np.where(finite[:, None], estimate - known, 0))
-    wrong = (error >= pixels) & (error >= fraction * _length(known))
-    return float((wrong | ~finite).mean())
+    estimate, truth, is_compared = _check_flows(flow, truth, mask)
+    estimate, true_flow = estimate[is_compared], truth[is_compared]
+    is_finite = np.isfinite(estimate).all(axis=-1)
+    error = _length(np.where(is_finite[:, None], estimate - true_flow, 0))
+    is_outlier = (error >= pixels) & (error >= fraction * _length(true_flow))
+    return float((is_outlier | ~is_finite).mean())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,7 +192,7 @@ class FlowErrors:
     over_one : float
         Share of pixels off by at least 1 px (R1.0), in [0, 1].
     pixels : int
-        Pixels that counted.
+        Number of compared pixels.
 
     Examples
     --------
@@ -225,8 +225,8 @@ def flow_errors(flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None = N
     Raises
     ------
     ValueError
-        If shapes differ, a value is masked, no pixel counts, or the flow is not finite where one
-        does.
+        If shapes differ, a value is masked, no pixel counts, or the flow is not finite at a pixel
+        that counts.
 
     Examples
     --------
@@ -237,19 +237,19 @@ def flow_errors(flow: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None = N
     >>> errors.endpoint, errors.outliers, errors.pixels
     (5.0, 1.0, 3072)
     """
-    estimate, known = _finite_pairs(flow, truth, mask)
-    # One row with the pixels that count: so the functions below apply no mask again.
-    estimate, known = estimate[None], known[None]
+    estimate, true_flow = _finite_flows(flow, truth, mask)
+    # One row with the pixels that count, so that the functions below need no mask.
+    estimate, true_flow = estimate[None], true_flow[None]
     return FlowErrors(
-        endpoint=endpoint_error(estimate, known),
-        angular=angular_error(estimate, known),
-        outliers=outlier_rate(estimate, known),
-        over_one=outlier_rate(estimate, known, pixels=1.0, fraction=0.0),
-        pixels=known.shape[1],
+        endpoint=endpoint_error(estimate, true_flow),
+        angular=angular_error(estimate, true_flow),
+        outliers=outlier_rate(estimate, true_flow),
+        over_one=outlier_rate(estimate, true_flow, pixels=1.0, fraction=0.0),
+        pixels=true_flow.shape[1],
     )
 
 
-def _flows(flow: ArrayLike, truth: ArrayLike, mask: ArrayLike | None) -> tuple[NDArray, ...]:
+def _check_flows(flow: ArrayLike, truth: ArrayLike, mask: ArrayLike | None) -> tuple[NDArray, ...]:
     """Check a pair of flows; return them in float64 with the map of pixels that count."""
     estimate = check_unmasked(flow, "flow", np.float64)
     truth = check_unmasked(truth, "truth", np.float64)
@@ -258,25 +258,25 @@ def _flows(flow: ArrayLike, truth: ArrayLike, mask: ArrayLike | None) -> tuple[N
             f"flow is {estimate.shape} and truth is {truth.shape}: expected the same shape, "
             "(H, W, 2)"
         )
-    counts = is_known(truth).all(axis=-1) & mask_or_all(mask, truth.shape[:2])
-    if not counts.any():
+    is_compared = is_known(truth).all(axis=-1) & compared_pixels(mask, truth.shape[:2])
+    if not is_compared.any():
         raise InputError(f"no pixel of the {truth.shape} truth is known and in the mask")
-    return estimate, truth, counts
+    return estimate, truth, is_compared
 
 
 def _length(vectors: NDArray) -> NDArray[np.float64]:
     return np.hypot(vectors[..., 0], vectors[..., 1])
 
 
-def _finite_pairs(
+def _finite_flows(
     flow: ArrayLike, truth: ArrayLike, mask: ArrayLike | None
 ) -> tuple[NDArray, NDArray]:
     """Return estimate and truth at the pixels that count, (n, 2) each."""
-    estimate, truth, counts = _flows(flow, truth, mask)
-    missing = np.count_nonzero(~np.isfinite(estimate[counts]).all(axis=-1))
+    estimate, truth, is_compared = _check_flows(flow, truth, mask)
+    missing = np.count_nonzero(~np.isfinite(estimate[is_compared]).all(axis=-1))
     if missing:
         raise InputError(
-            f"flow is not finite at {missing} of the {np.count_nonzero(counts)} pixels that count: "
-            "expected finite flow there, or a mask without them"
+            f"flow is not finite at {missing} of the {np.count_nonzero(is_compared)} pixels that "
+            "count: expected finite flow there, or a mask without them"
         )
-    return estimate[counts], truth[counts]
+    return estimate[is_compared], truth[is_compared]

@@ -153,9 +153,9 @@ def label_scores(
         np.unique([pair[column] for pair in pairs], return_inverse=True) for column in (1, 2)
     )
     frames = 1 + max((pair[0] for pair in pairs), default=-1)
-    shared = np.zeros((frames, len(ids), len(label_ids)), np.int64)
-    shared[[pair[0] for pair in pairs], id_index, label_index] = [pair[3] for pair in pairs]
-    true_pixels, found_pixels = shared.sum(axis=2), shared.sum(axis=1)
+    shared_pixels = np.zeros((frames, len(ids), len(label_ids)), np.int64)
+    shared_pixels[[pair[0] for pair in pairs], id_index, label_index] = [pair[3] for pair in pairs]
+    true_pixels, label_pixels = shared_pixels.sum(axis=2), shared_pixels.sum(axis=1)
     # From here on without the background, which is neither an object nor a label.
     is_object, is_label = ids > 0, label_ids > 0
     ids, label_ids = ids[is_object], label_ids[is_label]
@@ -163,27 +163,29 @@ def label_scores(
         raise InputError(
             f"truth has no object in any of {frames} frames: expected pixels other than 0"
         )
-    shared = shared[:, is_object][:, :, is_label]
-    true_pixels, found_pixels = true_pixels[:, is_object], found_pixels[:, is_label]
-    union = true_pixels[:, :, None] + found_pixels[:, None] - shared
-    overlap = shared / np.maximum(union, 1)
-    counted = (union > 0).sum(axis=0)
-    mean = overlap.sum(axis=0) / np.maximum(counted, 1)
-    rows, columns = linear_sum_assignment(mean, maximize=True)
-    assigned = {row: column for row, column in zip(rows, columns, strict=True) if mean[row, column]}
+    shared_pixels = shared_pixels[:, is_object][:, :, is_label]
+    true_pixels, label_pixels = true_pixels[:, is_object], label_pixels[:, is_label]
+    union = true_pixels[:, :, None] + label_pixels[:, None] - shared_pixels
+    overlap = shared_pixels / np.maximum(union, 1)
+    frame_counts = (union > 0).sum(axis=0)
+    mean_overlap = overlap.sum(axis=0) / np.maximum(frame_counts, 1)
+    rows, columns = linear_sum_assignment(mean_overlap, maximize=True)
+    column_of_row = {
+        row: column for row, column in zip(rows, columns, strict=True) if mean_overlap[row, column]
+    }
     scores = []
     for row, object_id in enumerate(ids):
-        present = true_pixels[:, row] > 0
-        followers = _followers(shared[:, row], overlap[:, row], least)
+        is_present = true_pixels[:, row] > 0
+        followers = _followers(shared_pixels[:, row], overlap[:, row], least)
         followers = followers[followers >= 0]
-        column = assigned.get(row)
+        column = column_of_row.get(row)
         scores.append(
             ObjectScores(
                 object_id=int(object_id),
                 label=None if column is None else int(label_ids[column]),
-                iou=0.0 if column is None else float(mean[row, column]),
-                frames=int(present.sum() if column is None else counted[row, column]),
-                present=int(present.sum()),
+                iou=0.0 if column is None else float(mean_overlap[row, column]),
+                frames=int(is_present.sum() if column is None else frame_counts[row, column]),
+                present=int(is_present.sum()),
                 followed=len(followers),
                 switches=int(np.count_nonzero(np.diff(followers))),
             )
@@ -191,29 +193,31 @@ def label_scores(
     return LabelScores(objects=tuple(scores), frames=frames)
 
 
-def _followers(shared: NDArray, overlap: NDArray, min_overlap: float) -> NDArray[np.intp]:
+def _followers(shared_pixels: NDArray, overlap: NDArray, min_overlap: float) -> NDArray[np.intp]:
     """Return the index of the label that follows an object in each frame, -1 without one.
 
-    `shared`, pixels, and `overlap`, intersections over unions, are (N frames, labels).
+    `shared_pixels` and `overlap`, intersections over unions, are (N frames, labels).
     """
-    if not shared.shape[1]:
-        return np.full(len(shared), -1)
-    sufficient = np.where(overlap >= min_overlap, shared, 0)
-    return np.where(sufficient.any(axis=1), sufficient.argmax(axis=1), -1)
+    if not shared_pixels.shape[1]:
+        return np.full(len(shared_pixels), -1)
+    overlapping_pixels = np.where(overlap >= min_overlap, shared_pixels, 0)
+    return np.where(overlapping_pixels.any(axis=1), overlapping_pixels.argmax(axis=1), -1)
 
 
 def _overlaps(
     labels: Iterable[ArrayLike], truth: Iterable[ArrayLike]
 ) -> list[tuple[int, int, int, int]]:
     """Return (frame, object id, label, number of pixels) for each combination with pixels."""
-    counts = []
-    missing = object()
-    for number, (own, true) in enumerate(zip_longest(labels, truth, fillvalue=missing)):
-        if own is missing or true is missing:
-            short, more = ("labels", "truth") if own is missing else ("truth", "labels")
-            raise InputError(f"{short} has {number} frames, and {more} has more: expected as many")
-        label = _check_labels(own, f"labels[{number}]")
-        ids = _check_labels(true, f"truth[{number}]")
+    overlaps = []
+    end = object()
+    for number, (frame_labels, frame_truth) in enumerate(zip_longest(labels, truth, fillvalue=end)):
+        if frame_labels is end or frame_truth is end:
+            shorter, longer = ("labels", "truth") if frame_labels is end else ("truth", "labels")
+            raise InputError(
+                f"{shorter} has {number} frames, and {longer} has more: expected the same number"
+            )
+        label = _check_labels(frame_labels, f"labels[{number}]")
+        ids = _check_labels(frame_truth, f"truth[{number}]")
         if label.shape != ids.shape:
             raise InputError(
                 f"labels[{number}] is {label.shape} and truth[{number}] is {ids.shape}: expected "
@@ -221,8 +225,8 @@ def _overlaps(
             )
         pixels = np.bincount(_LABEL_COUNT * ids.ravel().astype(np.intp) + label.ravel())
         for pair in np.flatnonzero(pixels):
-            counts.append((number, *divmod(int(pair), _LABEL_COUNT), int(pixels[pair])))
-    return counts
+            overlaps.append((number, *divmod(int(pair), _LABEL_COUNT), int(pixels[pair])))
+    return overlaps
 
 
 def _check_labels(values: object, name: str) -> NDArray:

@@ -120,10 +120,11 @@ def object_path_errors(
     if len(set(shapes)) > 1:
         numbers = ", ".join(str(len(path)) for path in (estimated, true, camera, true_camera))
         raise InputError(
-            f"poses, truth, cameras and true_cameras are of {numbers} frames: expected as many"
+            f"poses, truth, cameras and true_cameras are of {numbers} frames: expected the "
+            "same number"
         )
-    has_cameras = _is_known(camera) & _is_known(true_camera)
-    has_all = has_cameras & _is_known(estimated) & _is_known(true)
+    has_cameras = _has_pose(camera) & _has_pose(true_camera)
+    has_all = has_cameras & _has_pose(estimated) & _has_pose(true)
     if has_all.sum() < MIN_FRAMES:
         return None
     world = _align_world(camera[has_cameras], true_camera[has_cameras])
@@ -181,5 +182,5 @@ def _fit_scale_and_offset(
     return scale, offset
 
 
-def _is_known(poses: NDArray) -> NDArray[np.bool_]:
+def _has_pose(poses: NDArray) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(poses).all(axis=(1, 2)))

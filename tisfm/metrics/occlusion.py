@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike
 
 from tisfm.checks import check_mask
 from tisfm.errors import InputError
-from tisfm.metrics.valid_pixels import mask_or_all
+from tisfm.metrics.valid_pixels import compared_pixels
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +25,7 @@ class OcclusionScores:
         Pixels that are marked and occluded, that are marked, and that are occluded. The counts of
         several maps can be added.
     pixels : int
-        Pixels that counted.
+        Number of compared pixels.
 
     Examples
     --------
@@ -86,9 +86,9 @@ def occlusion_scores(
     >>> from tisfm.metrics import occlusion_scores
     >>> truth = np.zeros((4, 4), bool)
     >>> truth[:2] = True
-    >>> found = np.zeros((4, 4), bool)
-    >>> found[0] = True
-    >>> scores = occlusion_scores(found, truth)
+    >>> estimate = np.zeros((4, 4), bool)
+    >>> estimate[0] = True
+    >>> scores = occlusion_scores(estimate, truth)
     >>> scores.precision, scores.recall
     (1.0, 0.5)
     """
@@ -97,10 +97,12 @@ def occlusion_scores(
         raise InputError(
             f"occlusion is {estimated.shape} and truth is {true.shape}: both must be (H, W)"
         )
-    counts = mask_or_all(mask, estimated.shape)
-    if not counts.any():
+    is_compared = compared_pixels(mask, estimated.shape)
+    if not is_compared.any():
         raise InputError("no pixel counts: the mask is zero everywhere")
-    hits, marked, occluded = (int((m & counts).sum()) for m in (estimated & true, estimated, true))
+    hits, marked, occluded = (
+        int((pixels & is_compared).sum()) for pixels in (estimated & true, estimated, true)
+    )
     return OcclusionScores.from_counts(
-        hits=hits, marked=marked, occluded=occluded, pixels=int(counts.sum())
+        hits=hits, marked=marked, occluded=occluded, pixels=int(is_compared.sum())
     )

@@ -1,4 +1,4 @@
-"""Errors of rigid motions of the scene before the camera, P₁ = R P₀ + t."""
+"""Errors of rigid motions of the scene in front of the camera, P₁ = R P₀ + t."""
 
 from dataclasses import dataclass
 
@@ -27,8 +27,8 @@ class PoseErrors:
     >>> import math
     >>> from tisfm.metrics import pose_errors
     >>> from tisfm.rigid import pose_matrix
-    >>> turned = pose_matrix([1, 0, 0, 0, 0, math.radians(3)])
-    >>> errors = pose_errors(turned, pose_matrix([1, 0, 0, 0, 0, 0]))
+    >>> estimate = pose_matrix([1, 0, 0, 0, 0, math.radians(3)])
+    >>> errors = pose_errors(estimate, pose_matrix([1, 0, 0, 0, 0, 0]))
     >>> round(errors.rotation, 3)  # degrees
     3.0
     """
@@ -53,14 +53,14 @@ def pose_errors(pose: ArrayLike, truth: ArrayLike) -> PoseErrors:
     Raises
     ------
     ValueError
-        If one is not (4, 4), has a masked value, is not finite, or its upper left part is not a
-        rotation.
+        If a motion is not (4, 4), has a masked value, is not finite, or its upper left part is not
+        a rotation.
 
     References
     ----------
     Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012,
     doi 10.1109/IROS.2012.6385773: the angle of the relative pose error. The angle between
-    translations stands for its length, which two frames do not tell.
+    translations replaces its length, which two frames do not determine.
 
     Examples
     --------
@@ -72,18 +72,20 @@ def pose_errors(pose: ArrayLike, truth: ArrayLike) -> PoseErrors:
     """
     from scipy.spatial.transform import Rotation  # slow to import
 
-    rotation, translation = _rigid("pose", pose)
-    true_rotation, true_translation = _rigid("truth", truth)
-    turn = Rotation.from_matrix(true_rotation.T @ rotation)
+    rotation, translation = _check_motion("pose", pose)
+    true_rotation, true_translation = _check_motion("truth", truth)
+    residual_rotation = Rotation.from_matrix(true_rotation.T @ rotation)
     direction = None
     if translation.any() and true_translation.any():
         # An arc cosine would lose small angles to rounding.
         cross = np.linalg.norm(np.cross(translation, true_translation))
         direction = float(np.degrees(np.arctan2(cross, translation @ true_translation)))
-    return PoseErrors(direction=direction, rotation=float(np.degrees(turn.magnitude())))
+    return PoseErrors(
+        direction=direction, rotation=float(np.degrees(residual_rotation.magnitude()))
+    )
 
 
-def _rigid(name: str, pose: ArrayLike) -> tuple[NDArray, NDArray]:
+def _check_motion(name: str, pose: ArrayLike) -> tuple[NDArray, NDArray]:
     """Check a rigid motion; return its rotation and translation."""
     matrix = check_unmasked(pose, name, np.float64, advice="expected a matrix without a mask")
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():

@@ -40,9 +40,9 @@ class AbsoluteErrors:
     >>> from tisfm.metrics import absolute_errors
     >>> truth = np.tile(np.eye(4), (4, 1, 1))
     >>> truth[:, 0, 3] = range(4)
-    >>> found = truth.copy()
-    >>> found[3] = np.nan  # no pose
-    >>> absolute_errors(found, truth).poses
+    >>> estimated = truth.copy()
+    >>> estimated[3] = np.nan  # no pose
+    >>> absolute_errors(estimated, truth).poses
     3
     """
 
@@ -107,8 +107,8 @@ class Drift:
     >>> from tisfm.metrics import drift
     >>> from tisfm.rigid import pose_matrix
     >>> truth = np.array([pose_matrix([k, 0, 0, 0, 0, 0]) for k in range(9)])
-    >>> found = drift(truth, truth, lengths=[2.0])
-    >>> found.lengths, found.segments > 0
+    >>> errors = drift(truth, truth, lengths=[2.0])
+    >>> errors.lengths, errors.segments > 0
     ((2.0,), True)
     """
 
@@ -154,7 +154,7 @@ def absolute_errors(poses: ArrayLike, truth: ArrayLike) -> AbsoluteErrors:
     Raises
     ------
     ValueError
-        If shapes differ, a value is masked, or no frame has both.
+        If shapes differ, a value is masked, or no frame has both poses.
 
     References
     ----------
@@ -168,21 +168,21 @@ def absolute_errors(poses: ArrayLike, truth: ArrayLike) -> AbsoluteErrors:
     >>> from tisfm.metrics import absolute_errors
     >>> from tisfm.rigid import pose_matrix
     >>> truth = np.array([pose_matrix([k, 0, 0.1 * k * k, 0, 0, 0]) for k in range(5)])
-    >>> found = truth.copy()
-    >>> found[:, :3, 3] /= 2  # in another unit
-    >>> errors = absolute_errors(found, truth)
+    >>> estimated = truth.copy()
+    >>> estimated[:, :3, 3] /= 2  # in another unit
+    >>> errors = absolute_errors(estimated, truth)
     >>> round(errors.similarity, 6), round(errors.scale, 6)
     (0.0, 2.0)
     """
-    found, true = _check_both(poses, truth)
-    known = _has_pose(found) & _has_pose(true)
-    centres, goal = found[known, :3, 3], true[known, :3, 3]
-    best, rigid = align(centres, goal), align(centres, goal, with_scale=False)
+    estimated, true = _check_both(poses, truth)
+    has_both = _has_pose(estimated) & _has_pose(true)
+    centres, true_centres = estimated[has_both, :3, 3], true[has_both, :3, 3]
+    similarity, rigid = align(centres, true_centres), align(centres, true_centres, with_scale=False)
     return AbsoluteErrors(
-        poses=int(known.sum()),
-        similarity=_root_mean_square(best.apply(centres) - goal),
-        rigid=_root_mean_square(rigid.apply(centres) - goal),
-        scale=best.scale,
+        poses=int(has_both.sum()),
+        similarity=_root_mean_square(similarity.apply(centres) - true_centres),
+        rigid=_root_mean_square(rigid.apply(centres) - true_centres),
+        scale=similarity.scale,
     )
 
 
@@ -207,8 +207,8 @@ def relative_errors(
     Raises
     ------
     ValueError
-        If shapes differ, a value is masked, no frame has both, or `step` is not a positive whole
-        number.
+        If shapes differ, a value is masked, no frame has both poses, or `step` is not a positive
+        whole number.
 
     References
     ----------
@@ -220,8 +220,8 @@ def relative_errors(
     >>> from tisfm.metrics import relative_errors
     >>> from tisfm.rigid import pose_matrix
     >>> truth = np.array([pose_matrix([k, 0, 0, 0, 0, 0]) for k in range(5)])
-    >>> found = np.array([pose_matrix([1.1 * k, 0, 0, 0, 0, 0]) for k in range(5)])
-    >>> round(relative_errors(found, truth).translation, 6)  # a frame
+    >>> estimated = np.array([pose_matrix([1.1 * k, 0, 0, 0, 0, 0]) for k in range(5)])
+    >>> round(relative_errors(estimated, truth).translation, 6)  # per frame
     0.1
     """
     check_whole_numbers(1, step=step)
@@ -270,8 +270,8 @@ def drift(
     Raises
     ------
     ValueError
-        If shapes differ, a value is masked, no frame has both, a length is not positive, or `every`
-        is not a positive whole number.
+        If shapes differ, a value is masked, no frame has both poses, a length is not positive, or
+        `every` is not a positive whole number.
 
     References
     ----------
@@ -285,8 +285,8 @@ def drift(
     >>> from tisfm.metrics import drift
     >>> from tisfm.rigid import pose_matrix
     >>> truth = np.array([pose_matrix([k, 0, 0, 0, 0, 0]) for k in range(9)])
-    >>> found = np.array([pose_matrix([1.1 * k, 0, 0, 0, 0, 0]) for k in range(9)])
-    >>> round(drift(found, truth).translation, 6)  # a tenth of the way
+    >>> estimated = np.array([pose_matrix([1.1 * k, 0, 0, 0, 0, 0]) for k in range(9)])
+    >>> round(drift(estimated, truth).translation, 6)  # a tenth of the length
     0.1
     """
     estimated, true = _check_both(poses, truth)
@@ -306,8 +306,8 @@ def drift(
     for length in lengths:
         ends = np.searchsorted(distances, distances[starts] + length, side="right")
         first, last = starts[ends < len(known)], ends[ends < len(known)]
-        posed = _has_pose(estimated)[known[first]] & _has_pose(estimated)[known[last]]
-        first, last = first[posed], last[posed]
+        has_both_ends = _has_pose(estimated)[known[first]] & _has_pose(estimated)[known[last]]
+        first, last = first[has_both_ends], last[has_both_ends]
         residuals = _residual_motions(estimated, true, known[first], known[last], scale)
         divisor = distances[last] - distances[first] if uses_shares else np.full(len(last), length)
         translations.append(np.linalg.norm(residuals[:, :3, 3], axis=1) / divisor)
@@ -323,13 +323,13 @@ def drift(
 
 
 def _residual_motions(
-    found: NDArray, true: NDArray, first: NDArray, second: NDArray, scale: float
+    estimated: NDArray, true: NDArray, first: NDArray, second: NDArray, scale: float
 ) -> NDArray[np.float64]:
     """Return (true motion)⁻¹ · motion, (K, 4, 4), of the pairs with all poses."""
-    known = _has_pose(found) & _has_pose(true)
-    counted = known[first] & known[second]
-    first, second = first[counted], second[counted]
-    scaled = found.copy()
+    has_both = _has_pose(estimated) & _has_pose(true)
+    is_complete = has_both[first] & has_both[second]
+    first, second = first[is_complete], second[is_complete]
+    scaled = estimated.copy()
     scaled[:, :3, 3] *= scale
     motion, true_motion = (np.linalg.solve(path[first], path[second]) for path in (scaled, true))
     return np.linalg.solve(true_motion, motion)
@@ -349,16 +349,18 @@ def _distances_along(poses: NDArray) -> NDArray[np.float64]:
 
 
 def _check_both(poses: ArrayLike, truth: ArrayLike) -> tuple[NDArray, NDArray]:
-    found, true = check_poses(poses, "poses"), check_poses(truth, "truth")
-    if found.shape != true.shape:
-        raise InputError(f"poses are {found.shape} and truth is {true.shape}: expected as many")
-    if not (_has_pose(found) & _has_pose(true)).any():
+    estimated, true = check_poses(poses, "poses"), check_poses(truth, "truth")
+    if estimated.shape != true.shape:
         raise InputError(
-            f"no frame has both an estimated and a true pose: of {len(found)} frames, "
-            f"{_has_pose(found).sum()} have an estimated and {_has_pose(true).sum()} a true one; "
-            "check that both lists are of the same frames"
+            f"poses are {estimated.shape} and truth is {true.shape}: expected the same number"
         )
-    return found, true
+    if not (_has_pose(estimated) & _has_pose(true)).any():
+        raise InputError(
+            f"no frame has both an estimated and a true pose: of {len(estimated)} frames, "
+            f"{_has_pose(estimated).sum()} have an estimated and {_has_pose(true).sum()} a true "
+            "one; check that both lists are of the same frames"
+        )
+    return estimated, true
 
 
 def check_poses(values: ArrayLike, name: str) -> NDArray[np.float64]:

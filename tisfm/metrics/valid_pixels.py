@@ -16,11 +16,11 @@ def is_known(truth: NDArray) -> NDArray[np.bool_]:
     return np.abs(truth) <= MAX_KNOWN_VALUE
 
 
-def mask_or_all(mask: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+def compared_pixels(mask: ArrayLike | None, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     """Return where pixels count: where the mask is nonzero, or everywhere without a mask."""
     if mask is None:
         return np.ones(shape, bool)
-    mask_or_all = check_mask(mask, "mask")
-    if mask_or_all.shape != shape:
-        raise InputError(f"mask is {mask_or_all.shape}: expected the shape of the truth, {shape}")
-    return mask_or_all
+    is_compared = check_mask(mask, "mask")
+    if is_compared.shape != shape:
+        raise InputError(f"mask is {is_compared.shape}: expected the shape of the truth, {shape}")
+    return is_compared

@@ -22,7 +22,7 @@ from tisfm.folders.files import REPORT, TIMINGS
 from tisfm.folders.result_folder import make_subfolder
 from tisfm.formats import FormatError, atomic_write
 from tisfm.formats.image_headers import MAX_IMAGE_PIXELS, refuse_large_image
-from tisfm.formats.images import decode
+from tisfm.formats.images import decode_with_opencv
 from tisfm.formats.label_picture import read_label_picture, write_label_png
 from tisfm.formats.npz import NpzFile, write_npz
 from tisfm.formats.reading import read_bytes, read_json
@@ -164,7 +164,7 @@ def read_picture(folder: Path, number: int) -> np.ndarray:
         raise FileNotFoundError(f"there is no {path}: the folder is not complete")
     data = read_bytes(path)
     refuse_large_image(str(path), data)
-    picture = decode(str(path), data, cv2.IMREAD_UNCHANGED)
+    picture = decode_with_opencv(str(path), data, cv2.IMREAD_UNCHANGED)
     if picture is None or picture.dtype != np.uint8 or picture.shape[2:] not in ((), (3,)):
         raise FormatError(f"{path} is damaged: it is not a picture with 8 bits")
     return picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
