@@ -86,7 +86,9 @@ def test_a_library_that_hangs_is_not_waited_for(tmp_path, monkeypatch):
     monkeypatch.setattr(trials, "TOTAL_LIMIT", PATIENCE)
     hasty = hasty_trial(tmp_path)
     monkeypatch.setattr(examination, "Trial", hasty)
-    monkeypatch.setattr(examination, "run_trial", lambda names, limit: trials.results(hasty(names)))
+    monkeypatch.setattr(
+        examination, "run_trial", lambda names, limit: trials.collect_results(hasty(names))
+    )
     found = {one.name: one for one in examination.examine()}
     assert "did not end within" in found["opencv-python-headless"].text
     assert found["tisfm"].verdict == "wrong" and found["numpy"].verdict == "ok"
@@ -141,7 +143,7 @@ def test_a_failed_check_is_a_line(monkeypatch):
         raise RuntimeError("unforeseen")
 
     monkeypatch.setattr(examination.packages, "requirements", lambda: ({}, {}, ""))
-    monkeypatch.setattr(examination.machine, "about_cores", fail)
+    monkeypatch.setattr(examination.machine, "examine_cores", fail)
     monkeypatch.setattr(examination, "Trial", NoTrial)
     found = examination.examine()
     assert [one.text for one in found if one.name == "doctor"] == ["RuntimeError: unforeseen"]

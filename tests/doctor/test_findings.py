@@ -16,7 +16,7 @@ from tests.waiting import PATIENCE
 from tisfm.doctor import machine, packages, trials
 from tisfm.doctor.control_groups import GroupLimits, group_limits
 from tisfm.doctor.finding import Finding, as_json, as_text, is_well
-from tisfm.doctor.trials import Trial, results, run_trial
+from tisfm.doctor.trials import Trial, collect_results, run_trial
 from tisfm.machine.kernel_cache import LOCK
 
 
@@ -38,7 +38,7 @@ def test_a_hanging_library_does_not_block(tmp_path, monkeypatch):
     write_module_that_hangs(tmp_path, "hangs")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setattr(trials, "TOTAL_LIMIT", PATIENCE)
-    tried = results(hasty_trial(tmp_path)(["json", "hangs", "csv"]))
+    tried = collect_results(hasty_trial(tmp_path)(["json", "hangs", "csv"]))
     assert tried["hangs"]["error"].startswith("it did not end within")
     assert "error" not in tried["json"] and "error" not in tried["csv"]
     clock = SimpleNamespace(monotonic=itertools.count(0.0, 10.0).__next__)
@@ -58,7 +58,9 @@ def test_several_are_tried_at_the_same_time(tmp_path, monkeypatch):
         (tmp_path / f"{name}.py").write_text(f"import os, time\n{code}")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setattr(trials, "TOTAL_LIMIT", PATIENCE)
-    tried = results(Trial(["one"], limit=PATIENCE), Trial(["two"], limit=PATIENCE), Trial([]))
+    tried = collect_results(
+        Trial(["one"], limit=PATIENCE), Trial(["two"], limit=PATIENCE), Trial([])
+    )
     assert set(tried) == {"one", "two"} and not any("error" in about for about in tried.values())
 
 
@@ -87,13 +89,13 @@ def installed(monkeypatch, **versions):
 
 def test_builds_of_opencv_that_clash(monkeypatch):
     installed(monkeypatch, opencv_python="5.0", opencv_python_headless="4.13")
-    found = packages.about_opencv()
+    found = packages.examine_opencv()
     assert found.verdict == "wrong"
     assert "pip uninstall opencv-python opencv-python-headless;" in found.advice
     installed(monkeypatch, opencv_contrib_python="5.0")
-    assert packages.about_opencv().verdict == "warning"
+    assert packages.examine_opencv().verdict == "warning"
     installed(monkeypatch, opencv_python_headless="5.0")
-    assert packages.about_opencv().verdict == "ok"
+    assert packages.examine_opencv().verdict == "ok"
 
 
 def test_versions_and_missing_packages(monkeypatch):
@@ -101,16 +103,16 @@ def test_versions_and_missing_packages(monkeypatch):
     base = {"numpy": ">=2", "scipy": ">=1.11", "pillow": ">=10.1", "rich": ">=13.7"}
     broken = {"scipy": {"error": "ImportError: broken"}, "rich": {"error": "x"}}
     tried = {"numpy": {}, "PIL": {}, **broken}
-    found = {one.name: one for one in packages.about_base(base, tried)}
+    found = {one.name: one for one in packages.examine_base(base, tried)}
     assert {name: one.verdict for name, one in found.items()} == {
         "numpy": "wrong", "scipy": "wrong", "pillow": "ok", "rich": "wrong",
     }  # fmt: skip
-    assert "asks for >=2" in found["numpy"].text
+    assert "requires >=2" in found["numpy"].text
     assert "ImportError: broken" in found["scipy"].text
     assert found["rich"].advice == "pip install 'rich>=13.7'"
     extras = {"video": {"av": ">=17"}, "mesh": {"scikit-image": ">=0.25"}}
     missing = {"av": {}, "skimage": {"error": "no module"}}
-    found = {one.name: one for one in packages.about_extras(extras, missing)}
+    found = {one.name: one for one in packages.examine_extras(extras, missing)}
     assert found["av [video]"].verdict == "warning"
     assert found["scikit-image [mesh]"].verdict == "absent"
     assert "pip install 'tisfm[mesh]'" in found["scikit-image [mesh]"].advice
@@ -131,7 +133,7 @@ def test_unreadable_files_are_reported(monkeypatch):
     monkeypatch.setitem(sys.modules, "packaging.requirements", None)
     base, extras, unread = packages.requirements()
     assert base == extras == {} and "packaging" in unread
-    found = list(packages.about_tisfm({}, unread))
+    found = list(packages.examine_tisfm({}, unread))
     assert [one.verdict for one in found] == ["ok", "wrong"]
     assert "pip install --force-reinstall packaging" in found[1].advice
 
@@ -144,7 +146,7 @@ def test_used_packages_are_declared():
 
 
 def test_a_tisfm_that_cannot_be_imported():
-    found, *_ = packages.about_tisfm({"tisfm": {"error": "ImportError: broken"}})
+    found, *_ = packages.examine_tisfm({"tisfm": {"error": "ImportError: broken"}})
     if found.text.startswith("not installed"):
         pytest.skip("tisfm is not installed here")
     assert found.verdict == "wrong" and "ImportError: broken" in found.text
@@ -155,16 +157,16 @@ def test_a_cache_that_cannot_be_used_and_a_lock_that_was_left(tmp_path, monkeypa
     monkeypatch.setenv("TI_OFFLINE_CACHE_FILE_PATH", str(cache))
     if os.name == "nt":
         pytest.skip("Taichi's folder is not known on Windows")
-    (found,) = machine.about_cache()
+    (found,) = machine.examine_cache()
     assert found.verdict == "ok" and str(cache) in found.text
     lock = cache / LOCK
     lock.touch()
-    assert len(list(machine.about_cache())) == 1  # it may be held
+    assert len(list(machine.examine_cache())) == 1  # it may be held
     os.utime(lock, (time.time() - 600,) * 2)
-    assert [one.verdict for one in machine.about_cache()] == ["ok", "warning"]
+    assert [one.verdict for one in machine.examine_cache()] == ["ok", "warning"]
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("TI_OFFLINE_CACHE_FILE_PATH", str(tmp_path / "file"))
-    (found,) = machine.about_cache()
+    (found,) = machine.examine_cache()
     assert found.verdict == "warning" and "compiled anew" in found.text
 
 
@@ -247,45 +249,45 @@ def test_limits_of_control_groups(monkeypatch):
     monkeypatch.setattr(
         machine.os, "sched_getaffinity", lambda process: set(range(usable[0])), raising=False
     )
-    assert machine.about_cores().text == "8 cores, bound to 6 of them"
+    assert machine.examine_cores().text == "8 cores, bound to 6 of them"
     limited(cores=2.5, memory=1e8)
-    found = machine.about_cores()
+    found = machine.examine_cores()
     assert "time of 2.5" in found.text and "--threads 2" in found.advice
     if machine._memory()[0] is not None:
-        found = machine.about_memory()
+        found = machine.examine_memory()
         assert found.verdict == "warning" and "allows 0.1 GB" in found.text
     usable[0] = 8
     limited()
-    assert machine.about_cores().verdict == "ok"
+    assert machine.examine_cores().verdict == "ok"
 
 
 def test_kernels_and_gpus():
     broken = {"kernel:default": {"error": "ImportError: no taichi"}, "archs": {"error": "x"}}
-    (found,) = machine.about_kernel(broken)
+    (found,) = machine.examine_kernel(broken)
     assert found.verdict == "wrong" and "no taichi" in found.text
-    assert machine.about_gpus(broken, {}).verdict == "absent"
+    assert machine.examine_gpus(broken, {}).verdict == "absent"
     archs = {"archs": {"archs": ["cuda", "vulkan"]}}
     half = {"kernel:cuda": {"error": "no device"}, "kernel:vulkan": {"arch": "vulkan"}}
-    assert "vulkan: --arch vulkan" in machine.about_gpus(archs, half).text
+    assert "vulkan: --arch vulkan" in machine.examine_gpus(archs, half).text
     none = {"kernel:cuda": {"error": "no device"}, "kernel:vulkan": {"error": "none"}}
-    found = machine.about_gpus(archs, none)
+    found = machine.examine_gpus(archs, none)
     assert found.verdict == "absent" and "no device" in found.text
 
 
 def test_software_vulkan_is_not_a_gpu():
     tried = {"archs": {"archs": ["vulkan"]}, "software_vulkan": {"device": "llvmpipe (LLVM 15)"}}
-    found = machine.about_gpus(tried, {})
+    found = machine.examine_gpus(tried, {})
     assert found.verdict == "absent" and "none that Taichi can use" in found.text
     assert "llvmpipe (LLVM 15), software on the CPU, not a GPU" in found.text
     assert "leave out --arch vulkan" in found.advice
     beside = {"archs": {"archs": ["cuda", "vulkan"]}, "software_vulkan": {"device": "llvmpipe"}}
-    found = machine.about_gpus(beside, {"kernel:cuda": {"arch": "cuda"}})
+    found = machine.examine_gpus(beside, {"kernel:cuda": {"arch": "cuda"}})
     assert found.verdict == "ok" and found.text.startswith("kernels run on cuda: --arch cuda")
     assert "llvmpipe, software" in found.text
-    found = machine.about_gpus(beside, {"kernel:cuda": {"error": "no device"}})
+    found = machine.examine_gpus(beside, {"kernel:cuda": {"error": "no device"}})
     assert found.verdict == "absent" and "no device" in found.text and "llvmpipe" in found.text
     real = {"archs": {"archs": ["vulkan"]}, "software_vulkan": {"device": ""}}
-    assert machine.about_gpus(real, {"kernel:vulkan": {"arch": "vulkan"}}).verdict == "ok"
+    assert machine.examine_gpus(real, {"kernel:vulkan": {"arch": "vulkan"}}).verdict == "ok"
 
 
 def test_text_and_json():

@@ -18,7 +18,7 @@ from tests.reconstruction.films import along
 from tisfm import Camera
 from tisfm.exports import colmap, write_colmap
 from tisfm.exports.colmap import check_complete, write_model
-from tisfm.exports.tracks import Tracks, measured_tracks
+from tisfm.exports.tracks import Tracks, measure_tracks
 from tisfm.formats import FormatError
 from tisfm.reconstruction.result.folder import depth_path, read_depth, write_depth, write_labels
 
@@ -65,7 +65,7 @@ def test_triangulation_by_pycolmap_reprojects_to_the_tracks(exported):
 
 
 def test_positions_are_those_of_the_frames(film, found):
-    errors = errors_of(measured_tracks(found, 0), film)
+    errors = errors_of(measure_tracks(found, 0), film)
     assert len(errors) > 1000
     assert np.median(errors) < 0.15 and np.percentile(errors, 90) < 0.8
 
@@ -76,7 +76,7 @@ def test_positions_do_not_follow_a_wrong_depth(film, found, copied):
     for frame in range(len(copied)):
         inverse_depth, std = read_depth(copied.folder, frame, copied.shape)
         write_depth(copied.folder, frame, inverse_depth * rows, std * rows)
-    right, wrong = measured_tracks(found, 0), measured_tracks(copied, 0)
+    right, wrong = measure_tracks(found, 0), measure_tracks(copied, 0)
     assert len(wrong) > 0.7 * len(right)
     errors, before = errors_of(wrong, film), errors_of(right, film)
     assert np.median(errors) < np.median(before) + 0.03
@@ -205,7 +205,7 @@ def test_masked_and_moving_pixels_have_no_points(copied, tmp_path):
         std[:60] = np.inf
         write_depth(copied.folder, frame, inverse_depth, std)
     moving = replace(copied, settings=replace(copied.settings, motion="objects"))
-    tracks = measured_tracks(moving, 0)
+    tracks = measure_tracks(moving, 0)
     assert len(tracks) > 30
     x, y = np.rint(tracks.image_points).T
     assert x.min() >= half and y.min() >= 60
@@ -220,7 +220,7 @@ def test_masked_and_moving_pixels_have_no_points(copied, tmp_path):
 def test_depth_of_keyframes_is_enough(found, copied):
     for frame in set(range(len(copied))) - set(copied.keyframes):
         depth_path(copied.folder, frame).unlink()
-    tracks = measured_tracks(copied, 0)
+    tracks = measure_tracks(copied, 0)
     assert np.bincount(tracks.frames, minlength=len(copied)).min() > 20
 
 
@@ -236,7 +236,7 @@ def test_without_depth_points_follow_the_flow(film, copied, tmp_path):
     assert len(model.images) == len(copied) and written.points > 100
     assert min(tracks_per_image(model).values()) > 20
     assert np.median(retriangulated(model)[0]) < 0.4
-    errors = errors_of(measured_tracks(path, 0), film)
+    errors = errors_of(measure_tracks(path, 0), film)
     assert np.median(errors) < 0.5
 
 
@@ -251,7 +251,7 @@ def test_frames_without_texture_give_a_model_of_poses(copied, tmp_path):
 
 
 def test_more_points_where_they_may_be_nearer(found):
-    few, many = (measured_tracks(found, 0, spacing=spacing) for spacing in (24, 6))
+    few, many = (measure_tracks(found, 0, spacing=spacing) for spacing in (24, 6))
     assert 100 < len(few) < 0.6 * len(many)
 
 
@@ -297,7 +297,7 @@ def test_without_two_poses_there_is_no_model(found, tmp_path):
     with pytest.raises(ValueError, match="no two of the 9 frames have poses in one scale"):
         write_colmap(replace(found, piece=alone), tmp_path / "out")
     with pytest.raises(ValueError, match="piece is 3: expected 0 to 0"):
-        measured_tracks(found, 3)
+        measure_tracks(found, 3)
 
 
 def test_a_failed_export_leaves_no_empty_folder(copied, tmp_path):

@@ -4,13 +4,18 @@ import numpy as np
 import pytest
 
 from tests.exports.exported import predicted, true_places
-from tisfm.exports.guided_matching import PosedCamera, is_smooth, measure_points, points_in_world
+from tisfm.exports.guided_matching import (
+    PosedCamera,
+    measure_points,
+    points_in_world,
+    smooth_pixels,
+)
 from tisfm.reconstruction.tracks.tracker import choose_new_points
 
 
 @pytest.fixture(scope="module")
 def begun(film):
-    points = choose_new_points(film.frames[3], np.empty((0, 2)), ~is_smooth(inverse(film)), 24)
+    points = choose_new_points(film.frames[3], np.empty((0, 2)), ~smooth_pixels(inverse(film)), 24)
     assert len(points) > 150
     return points
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tisfm import Camera
 from tisfm.exports import nerfstudio, write_colmap, write_nerfstudio
-from tisfm.exports.tracks import measured_tracks
+from tisfm.exports.tracks import measure_tracks
 from tisfm.reconstruction.result.folder import write_labels
 from tisfm.rigid import pose_matrix
 
@@ -67,7 +67,7 @@ def test_every_frame_is_there_and_byte_for_byte(found, written):
 def test_points_are_seen_where_they_were_measured(found, written):
     folder, account, about = written
     cloud = trimesh.load(folder / about["ply_file_path"])
-    tracks = measured_tracks(found, 0)
+    tracks = measure_tracks(found, 0)
     assert len(cloud.vertices) == len(tracks) == account.points
     np.testing.assert_array_equal(np.asarray(cloud.colors)[:, :3], tracks.colors)
     for frame, shot in enumerate(about["frames"]):
@@ -121,7 +121,7 @@ def test_one_piece_by_choice(found, tmp_path):
         names = [f"{k:06d}.jpg" for k in frames]
         assert [shot["file_path"] for shot in about["frames"]] == [f"images/{n}" for n in names]
         assert sorted(os.listdir(tmp_path / "images")) == names
-    with pytest.raises(ValueError, match="piece is 2: expected one of several frames, 1, 0"):
+    with pytest.raises(ValueError, match="piece is 2: expected a piece of several frames, 1, 0"):
         write_nerfstudio(pieces, tmp_path, piece=2)
 
 

@@ -77,19 +77,19 @@ def test_too_little_for_the_frames_is_one_line(tmp_path):
 
 @pytest.fixture
 def limited(monkeypatch):
-    monkeypatch.setattr(memory, "limit", lambda: 3_000_000_000)
+    monkeypatch.setattr(memory, "address_space_limit", lambda: 3_000_000_000)
 
 
 @on_linux
 def test_frames_that_fit_are_not_refused(monkeypatch):
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     bound = pages * os.sysconf("SC_PAGE_SIZE") + 3e9
-    monkeypatch.setattr(memory, "limit", lambda: bound)
-    memory.require(1e6, "a small thing")
+    monkeypatch.setattr(memory, "address_space_limit", lambda: bound)
+    memory.require_address_space(1e6, "a small thing")
     with pytest.raises(MemoryError, match=r"is .* GB and leaves .* GB, but a large thing reserves"):
-        memory.require(4e9, "a large thing")
-    monkeypatch.setattr(memory, "limit", lambda: None)
-    memory.require(4e15, "a large thing")
+        memory.require_address_space(4e9, "a large thing")
+    monkeypatch.setattr(memory, "address_space_limit", lambda: None)
+    memory.require_address_space(4e15, "a large thing")
 
 
 def map_failed():
@@ -116,7 +116,7 @@ def test_libraries_that_run_out_are_one_line(limited, monkeypatch, capsys, fail)
 
 
 def test_without_a_limit_a_library_that_fails_is_a_bug(monkeypatch):
-    monkeypatch.setattr(memory, "limit", lambda: None)
+    monkeypatch.setattr(memory, "address_space_limit", lambda: None)
     monkeypatch.setattr(command_line, "parse_command", lambda arguments: map_failed)
     with pytest.raises(ImportError):
         command_line.main(["run"])

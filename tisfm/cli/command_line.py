@@ -24,7 +24,7 @@ from tisfm.cli.options import SettingsOptions
 from tisfm.cli.parsing import LIST_OPTIONS, WrongOptionError, parse, suggestion, wrapped_help
 from tisfm.cli.startup import BROKEN_PIPE, INTERRUPTED, WRONG_OPTION
 from tisfm.errors import MissingPackageError, TisfmError, is_user_error
-from tisfm.machine.memory import advice, ran_out
+from tisfm.machine.memory import is_out_of_memory, out_of_memory_message
 from tisfm.settings import Preset, Settings
 from tisfm.version import __version__
 
@@ -103,15 +103,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     except MemoryError as error:
-        return _fail(str(error) if isinstance(error, TisfmError) else advice())
+        return _fail(str(error) if isinstance(error, TisfmError) else out_of_memory_message())
     except cv2.error as error:
         if error.code != cv2.Error.StsNoMem:
             raise
-        return _fail(advice())
+        return _fail(out_of_memory_message())
     except (OSError, TypeError, ValueError, IndexError, RuntimeError, ImportError) as error:
         if not is_user_error(error):
-            if ran_out(error):
-                return _fail(advice())
+            if is_out_of_memory(error):
+                return _fail(out_of_memory_message())
             raise
         return _fail(str(error))
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tisfm.doctor import machine, packages
 from tisfm.doctor.finding import Finding, as_json, as_text, is_well
-from tisfm.doctor.trials import Trial, TrialResults, results, run_trial
+from tisfm.doctor.trials import Trial, TrialResults, collect_results, run_trial
 from tisfm.machine.text import printable
 
 _KERNEL_LIMIT = 45.0  # s, enough for a slow machine to compile; set by hand
@@ -15,46 +15,50 @@ _GPU_LIMIT = 20.0  # s, after which a GPU driver counts as hanging; set by hand
 
 def examine() -> list[Finding]:
     """Return the findings of all examinations; it raises nothing."""
-    base, extras, unread_requirements = packages.requirements()
+    base, extras, requirements_error = packages.requirements()
     modules = [packages.module_of(name) for name in base if name != "taichi"]
-    optional = [packages.module_of(name) for found in extras.values() for name in found]
+    optional = [
+        packages.module_of(name)
+        for packages_of_extra in extras.values()
+        for name in packages_of_extra
+    ]
     kernel = Trial(["tisfm", "kernel:default"], limit=_KERNEL_LIMIT)
     imports = Trial([*modules, *optional])
     archs = Trial(["archs", "software_vulkan"], limit=_GPU_LIMIT)
-    trial_results = results(imports, kernel, archs)
+    trial_results = collect_results(imports, kernel, archs)
     gpu_results: TrialResults = {}
-    software = machine.software_vulkan_in(trial_results)
+    software_vulkan = machine.software_vulkan_name(trial_results)
     for arch in trial_results["archs"].get("archs", []):
-        if not (arch == "vulkan" and software):
+        if not (arch == "vulkan" and software_vulkan):
             gpu_results |= run_trial([f"kernel:{arch}"], limit=_GPU_LIMIT)
     # The import of Taichi takes longest, so it is not tried a third time: a kernel that ran has
     # imported it. If no kernel ran, another library may be the reason.
     arch_results = {} if "error" not in trial_results["kernel:default"] else trial_results["archs"]
     trial_results["taichi"] = {key: value for key, value in arch_results.items() if key == "error"}
     examinations: list[Callable[[], Finding | Iterable[Finding]]] = [
-        packages.about_python,
-        lambda: packages.about_tisfm(trial_results, unread_requirements),
-        lambda: packages.about_base(base, trial_results),
-        packages.about_opencv,
-        lambda: machine.about_kernel(trial_results),
-        machine.about_cores,
-        machine.about_memory,
-        machine.about_addresses,
-        machine.about_cache,
-        lambda: machine.about_folder(Path.cwd()),
-        machine.about_temporary,
-        lambda: machine.about_gpus(trial_results, gpu_results),
-        lambda: packages.about_extras(extras, trial_results),
+        packages.examine_python,
+        lambda: packages.examine_tisfm(trial_results, requirements_error),
+        lambda: packages.examine_base(base, trial_results),
+        packages.examine_opencv,
+        lambda: machine.examine_kernel(trial_results),
+        machine.examine_cores,
+        machine.examine_memory,
+        machine.examine_addresses,
+        machine.examine_cache,
+        lambda: machine.examine_folder(Path.cwd()),
+        machine.examine_temporary,
+        lambda: machine.examine_gpus(trial_results, gpu_results),
+        lambda: packages.examine_extras(extras, trial_results),
     ]
-    found: list[Finding] = []
+    findings: list[Finding] = []
     for examination in examinations:
         try:
             result = examination()
-            found += [result] if isinstance(result, Finding) else list(result)
+            findings += [result] if isinstance(result, Finding) else list(result)
         except Exception as error:  # a failed examination is a finding, too
             text = " ".join(str(error).split())
-            found.append(Finding("doctor", "warning", f"{type(error).__name__}: {text}"))
-    return found
+            findings.append(Finding("doctor", "warning", f"{type(error).__name__}: {text}"))
+    return findings
 
 
 def doctor(*, json: bool = False) -> int:

@@ -10,7 +10,7 @@ from tisfm.doctor.control_groups import group_limits
 from tisfm.doctor.finding import Finding
 from tisfm.doctor.trials import TrialResults
 from tisfm.machine.kernel_cache import LOCK, STALE_LOCK_AGE, cache_folder
-from tisfm.machine.memory import limit
+from tisfm.machine.memory import address_space_limit
 from tisfm.threads import usable_cores
 
 RAISE_LIMIT = "raise the limit of the address space (ulimit -v) first"
@@ -18,18 +18,18 @@ _MIN_ADDRESS_SPACE = 3.0e9  # bytes of address space for a pair of 1920 × 1080 
 _MIN_MEMORY = 2.0e9  # bytes of memory for a pair of 1920 × 1080 px; measured
 
 
-def about_cores() -> Finding:
+def examine_cores() -> Finding:
     """Return the finding about the cores that this process may use."""
     total = os.cpu_count() or 1
     usable, reasons = usable_cores(), []
     if usable < total:
         reasons.append(f"bound to {usable} of them")
-    share = group_limits().cores
-    if share is not None and share < usable:
-        reasons.append(f"the control group gives the time of {share:g}")
+    group_cores = group_limits().cores
+    if group_cores is not None and group_cores < usable:
+        reasons.append(f"the control group gives the time of {group_cores:g}")
     text = f"{total} core{'s' * (total != 1)}" + "".join(f", {reason}" for reason in reasons)
     if reasons:
-        thread_count = max(1, int(min(usable, share or usable)))
+        thread_count = max(1, int(min(usable, group_cores or usable)))
         return Finding(
             "Cores",
             "warning",
@@ -39,7 +39,7 @@ def about_cores() -> Finding:
     return Finding("Cores", "ok", text)
 
 
-def about_memory() -> Finding:
+def examine_memory() -> Finding:
     """Return the finding about memory."""
     total, free = _memory()
     group = group_limits().memory
@@ -63,13 +63,13 @@ def about_memory() -> Finding:
 
 def is_limited() -> bool:
     """Return whether libraries may fail because the address space is limited."""
-    max_bytes = limit()
+    max_bytes = address_space_limit()
     return max_bytes is not None and max_bytes < _MIN_ADDRESS_SPACE
 
 
-def about_addresses() -> Finding:
+def examine_addresses() -> Finding:
     """Return the finding about the limit of the address space."""
-    max_bytes = limit()
+    max_bytes = address_space_limit()
     if max_bytes is None:
         return Finding("Address space", "ok", "not limited (ulimit -v)")
     text = f"limited to {max_bytes / 1e9:.2f} GB (ulimit -v)"
@@ -83,7 +83,7 @@ def about_addresses() -> Finding:
     return Finding("Address space", "ok", text)
 
 
-def about_cache() -> Iterator[Finding]:
+def examine_cache() -> Iterator[Finding]:
     """Yield findings about the folder of compiled kernels and a lock left there."""
     folder = cache_folder()
     if folder is None:
@@ -119,7 +119,7 @@ def about_cache() -> Iterator[Finding]:
         )
 
 
-def about_folder(folder: Path) -> Finding:
+def examine_folder(folder: Path) -> Finding:
     """Return the finding about the working folder."""
     name = "Working folder"
     if _is_writable(folder, make=False):
@@ -132,7 +132,7 @@ def about_folder(folder: Path) -> Finding:
     )
 
 
-def about_temporary() -> Finding:
+def examine_temporary() -> Finding:
     """Return the finding about the folder for temporary files."""
     try:
         return Finding("Temporary files", "ok", f"{tempfile.gettempdir()} can be written to")
@@ -142,9 +142,9 @@ def about_temporary() -> Finding:
         )
 
 
-def about_kernel(tried: TrialResults) -> Iterator[Finding]:
+def examine_kernel(results: TrialResults) -> Iterator[Finding]:
     """Yield findings about a kernel that Taichi compiled and ran."""
-    result = tried["kernel:default"]
+    result = results["kernel:default"]
     if "error" in result:
         yield Finding(
             "Kernels", "wrong", f"Taichi does not run: {result['error']}", _taichi_advice()
@@ -163,9 +163,9 @@ def about_kernel(tried: TrialResults) -> Iterator[Finding]:
         yield Finding("Threads", "ok", f"{result['threads']} by default")
 
 
-def about_gpus(tried: TrialResults, started: TrialResults) -> Finding:
+def examine_gpus(results: TrialResults, gpu_results: TrialResults) -> Finding:
     """Return the finding about GPUs, none of which is needed."""
-    result = tried["archs"]
+    result = results["archs"]
     if "error" in result:
         return Finding(
             "GPU",
@@ -173,20 +173,20 @@ def about_gpus(tried: TrialResults, started: TrialResults) -> Finding:
             f"not known: {result['error']}",
             "none is needed; give --arch cpu if TI_ARCH says otherwise",
         )
-    software = software_vulkan_in(tried)
+    software = software_vulkan_name(results)
     gpus = [arch for arch in result["archs"] if not (arch == "vulkan" and software)]
-    working = [arch for arch in gpus if "error" not in started.get(f"kernel:{arch}", {})]
-    failing = [arch for arch in gpus if arch not in working]
+    working_archs = [arch for arch in gpus if "error" not in gpu_results.get(f"kernel:{arch}", {})]
+    failing_archs = [arch for arch in gpus if arch not in working_archs]
     software_note = f"Vulkan here is {software}, software on the CPU, not a GPU"
-    if working:
-        text = f"kernels run on {', '.join(working)}: --arch {working[0]}"
+    if working_archs:
+        text = f"kernels run on {', '.join(working_archs)}: --arch {working_archs[0]}"
         if software:
             text += f". {software_note}"
         return Finding("GPU", "ok", text)
     text = "none that Taichi can use"
-    if failing:
-        error = started[f"kernel:{failing[0]}"]["error"]
-        text = f"{', '.join(failing)} cannot be started ({error})"
+    if failing_archs:
+        error = gpu_results[f"kernel:{failing_archs[0]}"]["error"]
+        text = f"{', '.join(failing_archs)} cannot be started ({error})"
     if software:
         text += f". {software_note}"
     return Finding(
@@ -197,9 +197,9 @@ def about_gpus(tried: TrialResults, started: TrialResults) -> Finding:
     )
 
 
-def software_vulkan_in(tried: TrialResults) -> str:
+def software_vulkan_name(results: TrialResults) -> str:
     """Return the name of the software device that Vulkan offers in place of a GPU, or ""."""
-    name: str = tried.get("software_vulkan", {}).get("device", "")
+    name: str = results.get("software_vulkan", {}).get("device", "")
     return name
 
 
@@ -209,7 +209,10 @@ def _taichi_advice() -> str:
     arch = os.environ.get("TI_ARCH")
     if arch is not None:
         return f"the variable TI_ARCH is {arch!r}: unset it, or give --arch cpu"
-    return "first do what the lines above say; if nothing: pip install --force-reinstall taichi"
+    return (
+        "first do what the lines above say; if they say nothing: pip install "
+        "--force-reinstall taichi"
+    )
 
 
 def _is_writable(folder: Path, *, make: bool = True) -> bool:

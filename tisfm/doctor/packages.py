@@ -23,7 +23,7 @@ _OPENCV = (
     "opencv-contrib-python",
     "opencv-contrib-python-headless",
 )
-_FOR_DEVELOPERS = ("test", "docs", "dev")
+_DEVELOPER_EXTRAS = ("test", "docs", "dev")
 _USES = {
     "video": "videos, damaged ones too, decoded by PyAV",
     "mesh": "meshes",
@@ -34,10 +34,10 @@ _USES = {
 
 
 def requirements() -> tuple[dict[str, str], dict[str, dict[str, str]], str]:
-    """Return the required packages, those of each extra, and why they cannot be read, if so.
+    """Return the required packages, the packages of each extra, and a text if they are unreadable.
 
-    Packages are version specifiers by distribution. They are empty if tisfm is not installed or its
-    metadata cannot be read.
+    The packages are version specifiers by distribution. They are empty if tisfm is not installed or
+    its metadata cannot be read. The text is empty if they were read.
     """
     base: dict[str, str] = {}
     extras: dict[str, dict[str, str]] = {}
@@ -45,19 +45,19 @@ def requirements() -> tuple[dict[str, str], dict[str, dict[str, str]], str]:
         from packaging.requirements import Requirement
 
         for line in metadata.requires("tisfm") or ():
-            asked = Requirement(line)
-            name, versions = asked.name.lower(), str(asked.specifier)
-            if asked.marker is None:
+            requirement = Requirement(line)
+            name, versions = requirement.name.lower(), str(requirement.specifier)
+            if requirement.marker is None:
                 base[name] = versions
                 continue
             for extra in metadata.metadata("tisfm").get_all("Provides-Extra") or ():
-                if asked.marker.evaluate({"extra": extra}) and name != "tisfm":
+                if requirement.marker.evaluate({"extra": extra}) and name != "tisfm":
                     extras.setdefault(extra, {})[name] = versions
     except metadata.PackageNotFoundError:
         return {}, {}, ""
     except Exception as error:  # packaging, or the metadata, is broken
         return {}, {}, f"{type(error).__name__}: {' '.join(str(error).split())}"
-    return base, {k: v for k, v in extras.items() if k not in _FOR_DEVELOPERS}, ""
+    return base, {k: v for k, v in extras.items() if k not in _DEVELOPER_EXTRAS}, ""
 
 
 def module_of(distribution: str) -> str:
@@ -65,7 +65,7 @@ def module_of(distribution: str) -> str:
     return _MODULES.get(distribution, distribution.replace("-", "_"))
 
 
-def about_python() -> Finding:
+def examine_python() -> Finding:
     """Return the finding about the version and the folder of Python."""
     version = platform.python_version()
     text = f"{version}, {platform.system()} {platform.machine()}, {sys.executable}"
@@ -79,10 +79,10 @@ def about_python() -> Finding:
     return Finding("Python", "ok", text)
 
 
-def about_tisfm(tried: TrialResults, unread: str = "") -> Iterator[Finding]:
+def examine_tisfm(results: TrialResults, requirements_error: str = "") -> Iterator[Finding]:
     """Yield findings about the version of tisfm and its import.
 
-    `unread` says why its requirements cannot be read; empty if they can.
+    `requirements_error` says why its requirements cannot be read; empty if they can.
     """
     try:
         version = metadata.version("tisfm")
@@ -90,11 +90,11 @@ def about_tisfm(tried: TrialResults, unread: str = "") -> Iterator[Finding]:
         yield Finding(
             "tisfm",
             "warning",
-            "not installed; what it asks for is not known",
+            "not installed, so its requirements are not known",
             "in the checkout: pip install -e .",
         )
         return
-    error = tried.get("tisfm", {}).get("error")
+    error = results.get("tisfm", {}).get("error")
     if error:
         yield Finding(
             "tisfm",
@@ -102,64 +102,69 @@ def about_tisfm(tried: TrialResults, unread: str = "") -> Iterator[Finding]:
             f"{version} cannot be imported: {error}",
             RAISE_LIMIT
             if is_limited()
-            else "first do what the lines below say; if nothing: pip install --force-reinstall "
-            "tisfm",
+            else "first do what the lines below say; if they say nothing: pip install "
+            "--force-reinstall tisfm",
         )
     else:
         yield Finding("tisfm", "ok", version)
-    if unread:
+    if requirements_error:
         yield Finding(
             "Packages",
             "wrong",
-            f"what tisfm asks for cannot be read, so that none is looked at: {unread}",
+            "the requirements of tisfm cannot be read, so no package is checked: "
+            f"{requirements_error}",
             "pip install --force-reinstall packaging",
         )
 
 
-def about_base(base: Mapping[str, str], tried: TrialResults) -> Iterator[Finding]:
+def examine_base(base: Mapping[str, str], results: TrialResults) -> Iterator[Finding]:
     """Yield a finding about each required package."""
     for name, versions in base.items():
-        yield _about(
-            name, versions, tried, missing="wrong", command=f"pip install '{name}{versions}'"
+        yield _examine_package(
+            name, versions, results, missing="wrong", command=f"pip install '{name}{versions}'"
         )
 
 
-def about_extras(extras: Mapping[str, Mapping[str, str]], tried: TrialResults) -> Iterator[Finding]:
+def examine_extras(
+    extras: Mapping[str, Mapping[str, str]], results: TrialResults
+) -> Iterator[Finding]:
     """Yield a finding about each optional package."""
     for extra, packages in extras.items():
         command = f"pip install 'tisfm[{extra}]'"
         use = _USES.get(extra, extra)
         for name, versions in packages.items():
-            found = _about(name, versions, tried, missing="absent", command=command)
-            advice = f"for {use}: {command}" if found.verdict == "absent" else found.advice
-            yield Finding(f"{name} [{extra}]", found.verdict, found.text, advice)
+            finding = _examine_package(name, versions, results, missing="absent", command=command)
+            advice = f"for {use}: {command}" if finding.verdict == "absent" else finding.advice
+            yield Finding(f"{name} [{extra}]", finding.verdict, finding.text, advice)
 
 
-def about_opencv() -> Finding:
+def examine_opencv() -> Finding:
     """Return the finding about builds of OpenCV that overwrite each other's files."""
-    found = {name: version for name in _OPENCV if (version := _version(name)) is not None}
-    listed = ", ".join(f"{name} {version}" for name, version in found.items())
-    if len(found) > 1:
+    versions = {name: version for name in _OPENCV if (version := _version(name)) is not None}
+    build_list = ", ".join(f"{name} {version}" for name, version in versions.items())
+    if len(versions) > 1:
         return Finding(
             "OpenCV builds",
             "wrong",
-            f"{listed}: they have the same files, and the last one installed wins",
-            f"pip uninstall {' '.join(found)}; then pip install opencv-python-headless",
+            f"{build_list}: they have the same files, and the last one installed wins",
+            f"pip uninstall {' '.join(versions)}; then pip install opencv-python-headless",
         )
-    if found and "opencv-python-headless" not in found:
+    if versions and "opencv-python-headless" not in versions:
         return Finding(
             "OpenCV builds",
             "warning",
-            f"{listed}, another build than tisfm asks for",
-            f"pip uninstall {' '.join(found)}; then pip install opencv-python-headless",
+            f"{build_list}, not the build that tisfm requires",
+            f"pip uninstall {' '.join(versions)}; then pip install opencv-python-headless",
         )
-    return Finding("OpenCV builds", "ok", listed or "none")
+    return Finding("OpenCV builds", "ok", build_list or "none")
 
 
-def _about(name: str, versions: str, tried: TrialResults, *, missing: str, command: str) -> Finding:
+def _examine_package(
+    name: str, versions: str, results: TrialResults, *, missing: str, command: str
+) -> Finding:
     version = _version(name)
-    error = tried.get(module_of(name), {}).get("error")
-    if version is None and (error or module_of(name) not in tried):
+    error = results.get(module_of(name), {}).get("error")
+    if version is None and (error or module_of(name) not in results):
         return Finding(name, "wrong" if missing == "wrong" else "absent", "not installed", command)
     if error:
         return Finding(
@@ -170,11 +175,11 @@ def _about(name: str, versions: str, tried: TrialResults, *, missing: str, comma
         )
     if version is None:
         return Finding(name, "ok", "version unknown")
-    if not _suits(version, versions):
+    if not _is_suitable(version, versions):
         return Finding(
             name,
             "wrong" if missing == "wrong" else "warning",
-            f"{version}, but tisfm asks for {versions}",
+            f"{version}, but tisfm requires {versions}",
             command,
         )
     return Finding(name, "ok", version)
@@ -187,7 +192,7 @@ def _version(name: str) -> str | None:
         return None
 
 
-def _suits(version: str, versions: str) -> bool:
+def _is_suitable(version: str, versions: str) -> bool:
     try:
         from packaging.specifiers import SpecifierSet
 

@@ -12,16 +12,16 @@ from importlib import import_module
 from typing import Any
 
 
-def tell(name: str, **about: Any) -> None:
+def report(name: str, **values: Any) -> None:
     """Print a line of JSON."""
-    print(json.dumps({"name": name, **about}), file=_OUT, flush=True)
+    print(json.dumps({"name": name, **values}), file=_OUT, flush=True)
 
 
 def try_import(name: str) -> None:
     """Import a module."""
     begin = time.perf_counter()
     import_module(name)
-    tell(name, seconds=time.perf_counter() - begin)
+    report(name, seconds=time.perf_counter() - begin)
 
 
 def try_command_line(name: str) -> None:
@@ -30,7 +30,7 @@ def try_command_line(name: str) -> None:
 
     import_libraries()
     import_module("tisfm.cli.command_line")
-    tell(name)
+    report(name)
 
 
 def try_kernel(name: str) -> None:
@@ -54,7 +54,7 @@ def try_kernel(name: str) -> None:
     ti.sync()
     if not np.array_equal(values, 2 * np.arange(1024, dtype=np.float32)):
         raise RuntimeError("a kernel that doubles numbers gives others")
-    tell(
+    report(
         name,
         arch=runtime.running_arch(),
         lanes=runtime.lanes(),
@@ -70,17 +70,17 @@ def try_archs(name: str) -> None:
     os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
     import_module("taichi")
     library = import_module("taichi._lib").core
-    found = [
+    archs = [
         arch for arch in ("cuda", "vulkan", "metal") if getattr(library, f"with_{arch}", bool)()
     ]
-    tell(name, archs=found)
+    report(name, archs=archs)
 
 
 def try_software_vulkan(name: str) -> None:
     """Ask the Vulkan drivers whether Taichi would run on software instead of a GPU."""
     from tisfm.machine.vulkan import software_vulkan
 
-    tell(name, device=software_vulkan())
+    report(name, device=software_vulkan())
 
 
 def main(names: list[str]) -> None:
@@ -88,7 +88,7 @@ def main(names: list[str]) -> None:
     if sys.path[:1] == [""]:
         del sys.path[0]  # modules of the working folder must not replace those of Python
     for name in names:
-        tell(name, begun=True)
+        report(name, begun=True)
         try:
             if name.startswith("kernel:"):
                 try_kernel(name)
@@ -102,7 +102,7 @@ def main(names: list[str]) -> None:
                 try_import(name)
         except BaseException as error:
             text = " ".join(str(error).split())
-            tell(name, error=f"{type(error).__name__}: {text}" if text else type(error).__name__)
+            report(name, error=f"{type(error).__name__}: {text}" if text else type(error).__name__)
 
 
 if __name__ == "__main__":

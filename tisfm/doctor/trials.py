@@ -11,17 +11,15 @@ from typing import Any
 
 _PROBE = Path(__file__).with_name("probe.py")
 _PROBE_CODE = (
-    # No module of the working folder is one of Python's.
+    # Modules of the working folder must not replace those of Python.
     "import sys; sys.path[:1] == [''] and sys.path.pop(0); import runpy; "
     "sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__')"
 )
-# All of these were set by hand.
-LIMIT = 30.0  # s, for each item of a trial
+# All limits were set by hand.
+ITEM_LIMIT = 30.0  # s, for each item of a trial
 TOTAL_LIMIT = 120.0  # s, for all items of a trial together
-_LIMIT_AFTER_HANG = (
-    8.0  # s, for each further item once one has hung: the next ones hang for the same reason
-)
-_POLL_INTERVAL = 0.05  # s, of one look at the output of a process
+_LIMIT_AFTER_HANG = 8.0  # s, for each item after one that hung: they hang for the same reason
+_POLL_INTERVAL = 0.05  # s, for one reading of the output of a process
 
 TrialResults = dict[str, dict[str, Any]]
 
@@ -36,7 +34,7 @@ class Trial:
         self,
         names: Sequence[str],  # items, as `tisfm.doctor.probe` names them
         *,
-        limit: float = LIMIT,  # seconds after which an item counts as hanging
+        limit: float = ITEM_LIMIT,  # seconds after which an item counts as hanging
     ) -> None:
         self._limit, self._end = limit, time.monotonic() + TOTAL_LIMIT
         self._remaining, self._results = list(names), TrialResults()
@@ -83,7 +81,7 @@ class Trial:
         self._start()
 
 
-def results(*trials: Trial) -> TrialResults:
+def collect_results(*trials: Trial) -> TrialResults:
     """Wait for trials, and return the results of all.
 
     No thread is started for them, since memory may not suffice for one.
@@ -99,13 +97,13 @@ def results(*trials: Trial) -> TrialResults:
     return all_results
 
 
-def run_trial(names: Sequence[str], *, limit: float = LIMIT) -> TrialResults:
+def run_trial(names: Sequence[str], *, limit: float = ITEM_LIMIT) -> TrialResults:
     """Try items in another process and wait for the results: see `Trial`."""
-    return results(Trial(names, limit=limit))
+    return collect_results(Trial(names, limit=limit))
 
 
 def _start_process(names: Sequence[str]) -> subprocess.Popen[bytes] | str:
-    """Start a process that tries items, or return why none can be started."""
+    """Start a process that tries items; return the reason if no process can be started."""
     try:
         return subprocess.Popen(
             [sys.executable, "-c", _PROBE_CODE, str(_PROBE), *names],

@@ -14,17 +14,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from tisfm.camera import Camera
-from tisfm.exports.export_request import chosen_frames, frame_rate, piece_files, pieces_of
+from tisfm.exports.export_request import frame_rate, piece_files, piece_frames, select_frames
 from tisfm.formats import atomic_write
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.version import __version__
 
 _FLOAT32_CODE = 5126  # code of float32 in glTF
-_ACCESSOR_TYPES = {
-    1: "SCALAR",
-    3: "VEC3",
-    4: "VEC4",
-}  # type of an accessor by its number of columns
+_ACCESSOR_TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}  # by the number of columns
 _NEAR_PLANE = 0.01  # in the unit of the poses; set by hand
 
 
@@ -45,11 +41,11 @@ def camera_document(
     """
     quaternions = _align_signs(Rotation.from_matrix(poses[:, :3, :3]).as_quat())
     arrays = [values.astype("<f4") for values in (times[:, None], poses[:, :3, 3], quaternions)]
-    views: list[dict[str, Any]] = []
+    buffer_views: list[dict[str, Any]] = []
     accessors: list[dict[str, Any]] = []
     start = 0
     for values in arrays:
-        views.append({"buffer": 0, "byteOffset": start, "byteLength": values.nbytes})
+        buffer_views.append({"buffer": 0, "byteOffset": start, "byteLength": values.nbytes})
         accessors.append(
             {
                 "bufferView": len(accessors),
@@ -82,7 +78,7 @@ def camera_document(
         "cameras": [{"type": "perspective", "perspective": lens, "extras": extras}],
         "animations": [{"name": "path", "samplers": samplers, "channels": channels}],
         "accessors": accessors,
-        "bufferViews": views,
+        "bufferViews": buffer_views,
         "buffers": [
             {"byteLength": start, "uri": f"data:application/octet-stream;base64,{content}"}
         ],
@@ -208,8 +204,8 @@ def write_gltf_cameras(
     >>> [str(file) for file in write_gltf_cameras(tisfm.Reconstruction.load("walk"), ".")]
     ['camera.gltf', 'lens.json']
     """
-    chosen = chosen_frames(frames, len(result))
-    pieces = pieces_of(result, chosen)
+    chosen = select_frames(frames, len(result))
+    pieces = piece_frames(result, chosen)
     rate = frame_rate(result.times, range(len(result)), frames_per_second)
     height, width = result.shape
     files = piece_files(Path(folder), GLTF, pieces)
@@ -258,7 +254,7 @@ def write_chan(
     >>> [str(file) for file in write_chan(tisfm.Reconstruction.load("walk"), ".")]
     ['camera.chan', 'lens.json']
     """
-    pieces = pieces_of(result, frames)
+    pieces = piece_frames(result, frames)
     angle = math.degrees(vertical_angle(result.camera, result.shape[0]))
     files = piece_files(Path(folder), CHAN, pieces)
     for file, piece in zip(files, pieces, strict=True):

@@ -17,18 +17,18 @@ from tisfm.exports.model_folder import (
     Images,
     check_images,
     has_masks,
+    open_export,
     picture_name,
-    replaced_export,
     write_masks,
     write_pictures,
 )
-from tisfm.exports.tracks import Tracks, cells_of, measured_tracks
+from tisfm.exports.tracks import Tracks, count_cells, measure_tracks
 from tisfm.reconstruction.mapping.database import PIXEL_CENTRE, colmap_camera, pycolmap
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 Form = Literal["binary", "text", "both"]
-CAMERA = 1  # id of the only camera
-MIN_FRAMES = 2  # of a piece with a model
+CAMERA_ID = 1  # of the only camera
+MIN_FRAMES = 2  # frames of a piece that gets a model
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,33 +128,35 @@ def write_colmap(
     if form not in get_args(Form):
         raise InputError(f"form is {form!r}: expected 'binary', 'text' or 'both'")
     check_images(images)
-    cells_of(reconstruction.shape, spacing)
-    pieces = pieces_of(reconstruction)
+    count_cells(reconstruction.shape, spacing)
+    pieces = model_frames(reconstruction)
     record: dict[str, Any] = {"kind": "colmap", "version": reconstruction.version}
-    with replaced_export(folder, record) as new:
+    with open_export(folder, record) as new_folder:
         models: list[ExportedModel] = []
         total = sum(map(len, pieces.values()))
         for number, (piece, frames) in enumerate(pieces.items()):
             finished_count = sum(model.images for model in models)
-            tracks = measured_tracks(
+            tracks = measure_tracks(
                 reconstruction,
                 piece,
                 spacing=spacing,
                 progress=_offset_progress(progress, finished_count, total),
             )
             name = f"{MODELS}/{number}"
-            write_model(_colmap_reconstruction(reconstruction, frames, tracks), new / name, form)
+            write_model(
+                _colmap_reconstruction(reconstruction, frames, tracks), new_folder / name, form
+            )
             models.append(model_summary(name, piece, frames, tracks))
-        posed = sorted(frame for frames in pieces.values() for frame in frames)
+        posed_frames = sorted(frame for frames in pieces.values() for frame in frames)
         if images != "none":
-            write_pictures(reconstruction, posed, new / IMAGES, images)
+            write_pictures(reconstruction, posed_frames, new_folder / IMAGES, images)
         if has_masks(reconstruction):
-            write_masks(reconstruction, posed, new / MASKS, ".jpg.png")
+            write_masks(reconstruction, posed_frames, new_folder / MASKS, ".jpg.png")
         record["models"] = [asdict(model) for model in models]
     return tuple(models)
 
 
-def pieces_of(result: Reconstruction) -> dict[int, list[int]]:
+def model_frames(result: Reconstruction) -> dict[int, list[int]]:
     """Return the frames of every piece of at least two, the largest piece first.
 
     Raises ValueError if there is no such piece.
@@ -195,7 +197,7 @@ def _colmap_reconstruction(result: Reconstruction, frames: Sequence[int], tracks
         image = pycolmap_module.Image(
             name=picture_name(frame),
             keypoints=tracks.image_points[in_frame] + PIXEL_CENTRE,
-            camera_id=CAMERA,
+            camera_id=CAMERA_ID,
             image_id=frame + 1,
         )
         pose = pycolmap_module.Rigid3d(np.linalg.inv(result.poses[frame])[:3])
@@ -223,7 +225,7 @@ def _offset_progress(
 
 def write_model(
     model: Any,
-    folder: Path,  # made here
+    folder: Path,  # this function makes it
     form: Form,
 ) -> None:
     """Write a reconstruction of pycolmap that has one camera, and check that it is complete.
@@ -250,8 +252,8 @@ def check_complete(model: Any, folder: Path, form: Form) -> None:
             _require_complete(_count_lines(folder / name) == count, folder / name)
 
 
-def _require_complete(complete: bool, path: Path) -> None:
-    if not complete:
+def _require_complete(is_complete: bool, path: Path) -> None:
+    if not is_complete:
         raise OSError(f"{path} was not written to its end: is the disk full?")
 
 

@@ -19,8 +19,8 @@ from tisfm.results.sequence_frames import SequenceFrames
 from tisfm.trajectory.times import are_increasing, times_or_numbers
 
 
-def chosen_frames(frames: Iterable[int] | None, count: int) -> list[int]:
-    """Return frame numbers in ascending order, by default all.
+def select_frames(frames: Iterable[int] | None, count: int) -> list[int]:
+    """Return the numbers of the frames to export in ascending order, by default all.
 
     Raises IndexError if a frame does not exist.
 
@@ -35,14 +35,14 @@ def chosen_frames(frames: Iterable[int] | None, count: int) -> list[int]:
     return chosen
 
 
-def pieces_of(result: Reconstruction, frames: Iterable[int] | None = None) -> list[list[int]]:
+def piece_frames(result: Reconstruction, frames: Iterable[int] | None = None) -> list[list[int]]:
     """Return the frames with a pose of each piece, the largest piece first.
 
     Raises IndexError if a frame does not exist.
 
     Raises ValueError if none of the frames has a pose.
     """
-    chosen = chosen_frames(frames, len(result))
+    chosen = select_frames(frames, len(result))
     pieces: dict[int, list[int]] = {}
     for frame in chosen:
         if result.piece[frame] >= 0 and np.isfinite(result.poses[frame]).all():
@@ -56,7 +56,7 @@ def pieces_of(result: Reconstruction, frames: Iterable[int] | None = None) -> li
 
 
 def piece_files(folder: Path, name: str, pieces: Sequence[object]) -> list[Path]:
-    """Return a path for each piece: the first has the name, others a number added."""
+    """Return a file for each piece: the first has the name, the others also have a number."""
     stem, dot, suffix = name.partition(".")
     return [
         folder / (name if number == 1 else f"{stem}-piece{number}{dot}{suffix}")
@@ -64,7 +64,7 @@ def piece_files(folder: Path, name: str, pieces: Sequence[object]) -> list[Path]
     ]
 
 
-FRAME_RATE = 25.0  # frames/s of frames without times: of PAL video
+DEFAULT_FRAME_RATE = 25.0  # frames/s, for frames without times: the rate of PAL video
 # frames/s, bounds set by hand
 _MIN_RATE = 0.01
 _MAX_RATE = 1000.0
@@ -96,7 +96,7 @@ def frame_rate(
         return check_rate(frames_per_second)
     selected_times = [times[frame] for frame in frames]
     if len(selected_times) < 2 or not are_increasing(selected_times):
-        return FRAME_RATE
+        return DEFAULT_FRAME_RATE
     period = float(np.median(np.diff(np.array(selected_times, float))))
     return float(np.clip(1 / period, _MIN_RATE, _MAX_RATE))
 
@@ -112,17 +112,17 @@ def check_rate(frames_per_second: float) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class ExportRequest:
-    """What to export, and how."""
+    """The result and the frames to export, and the options of the formats."""
 
-    result: Reconstruction | None  # none for a folder of `tisfm run`
+    result: Reconstruction | None  # None for a folder of `tisfm run`
     frames: SequenceFrames | PairFrames
     chosen: Sequence[int]  # numbers of the frames to export
     folder: Path  # folder of the exported files; it exists
     frames_per_second: float | None = None
-    # of anaglyphs and of the swinging camera, as a share of the width
+    # disparity of anaglyphs and of the swinging camera, as a share of the width
     disparity: float | None = None
-    # screen, screen_depth: the plane of the screen of these, as a quantile of the depth or as a
-    # depth
+    # screen, screen_depth: the plane of the screen of anaglyphs and of the swinging camera, as a
+    # quantile of the depth or as a depth
     screen: float | None = None
     screen_depth: float | None = None
 

@@ -1,4 +1,4 @@
-"""The formats of `tisfm export` by name: how each is checked and written, and notes on it."""
+"""The formats of `tisfm export` by name: functions that check, write and describe each."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +11,12 @@ import numpy as np
 from tisfm.errors import InputError
 from tisfm.exports.camera_path import is_centered, write_chan, write_gltf_cameras
 from tisfm.exports.colmap import write_colmap
-from tisfm.exports.export_request import FRAME_RATE, ExportRequest, pieces_of, source_camera
+from tisfm.exports.export_request import (
+    DEFAULT_FRAME_RATE,
+    ExportRequest,
+    piece_frames,
+    source_camera,
+)
 from tisfm.exports.float_images import check_exr
 from tisfm.exports.frame_maps import (
     MAX_VALUE,
@@ -40,7 +45,7 @@ from tisfm.trajectory.times import are_increasing
 
 def note_poses(export: ExportRequest) -> list[str]:
     """Note frames without a pose, and several pieces."""
-    pieces = pieces_of(export.sequence, export.chosen)
+    pieces = piece_frames(export.sequence, export.chosen)
     missing_count = len(export.chosen) - sum(map(len, pieces))
     notes = [f"{_count_text(missing_count)} without a pose left out"] if missing_count else []
     if len(pieces) > 1:
@@ -53,7 +58,7 @@ def note_poses(export: ExportRequest) -> list[str]:
 
 def note_models(export: ExportRequest) -> list[str]:
     """Note frames without a model: without a pose, or in a piece of one frame."""
-    pieces = [piece for piece in pieces_of(export.sequence, export.chosen) if len(piece) > 1]
+    pieces = [piece for piece in piece_frames(export.sequence, export.chosen) if len(piece) > 1]
     notes = []
     if missing_count := len(export.chosen) - sum(map(len, pieces)):
         notes.append(
@@ -69,7 +74,7 @@ def note_models(export: ExportRequest) -> list[str]:
 
 def note_largest(export: ExportRequest) -> list[str]:
     """Note frames outside the largest piece."""
-    largest = max(map(len, pieces_of(export.sequence, export.chosen)))
+    largest = max(map(len, piece_frames(export.sequence, export.chosen)))
     missing_count = len(export.chosen) - largest
     return (
         [f"only the largest piece; {_count_text(missing_count)} left out"] if missing_count else []
@@ -88,12 +93,12 @@ def note_times(export: ExportRequest) -> list[str]:
 
 def note_rate(export: ExportRequest) -> list[str]:
     """Note that the frame rate is a guess."""
-    known = are_increasing([export.frames.times[frame] for frame in export.chosen])
-    if (known and len(export.chosen) > 1) or export.frames_per_second is not None:
+    has_times = are_increasing([export.frames.times[frame] for frame in export.chosen])
+    if (has_times and len(export.chosen) > 1) or export.frames_per_second is not None:
         return []
     return [
-        f"{_missing_times_reason(export)}: {FRAME_RATE:g} per second are assumed; --fps sets "
-        "another rate"
+        f"{_missing_times_reason(export)}: {DEFAULT_FRAME_RATE:g} per second are assumed; --fps "
+        "sets another rate"
     ]
 
 
@@ -175,8 +180,8 @@ class Format:
 
     # takes an `ExportRequest` and a function for progress; returns the files
     write: Callable[[ExportRequest, Progress], Files]
-    # raises errors of `write` that can be known before long work: ImportError if a package is
-    # missing, ValueError if the result lacks what the format needs
+    # raises the errors of `write` that can be found before long work: ImportError if a package is
+    # missing, ValueError if the result lacks poses, depth or flow that the format needs
     check: Callable[[ExportRequest], object]
     # returns notes on the files for the user
     notes: Callable[[ExportRequest], list[str]] = _no_notes
@@ -185,7 +190,7 @@ class Format:
 
 
 def _require_poses(export: ExportRequest) -> object:
-    return pieces_of(export.sequence, export.chosen)
+    return piece_frames(export.sequence, export.chosen)
 
 
 def _require_depth(export: ExportRequest) -> None:
@@ -194,7 +199,7 @@ def _require_depth(export: ExportRequest) -> None:
         frames_with_depth(frames, export.chosen)
 
 
-def _depth(kind: DepthKind, bytes_per_pixel: float) -> Format:
+def _depth_format(kind: DepthKind, bytes_per_pixel: float) -> Format:
     def write(export: ExportRequest, progress: Progress) -> Files:
         subfolder = export.subfolder(f"depth-{kind}")
         return write_depths(export.frames, subfolder, kind, chosen=export.chosen, progress=progress)
@@ -206,14 +211,14 @@ def _depth(kind: DepthKind, bytes_per_pixel: float) -> Format:
         if kind in VALUES_PER_UNIT:
             check_depth_range(export.frames, frames_with_depth(export.frames, export.chosen), kind)
 
-    def describe(export: ExportRequest) -> list[str]:
+    def make_notes(export: ExportRequest) -> list[str]:
         scale = note_scale(export, kind) if kind in VALUES_PER_UNIT else []
         return [*scale, *note_depth(export)]
 
-    return Format(write=write, check=check, notes=describe, bytes_per_pixel=bytes_per_pixel)
+    return Format(write=write, check=check, notes=make_notes, bytes_per_pixel=bytes_per_pixel)
 
 
-def _video(kind: VideoKind) -> Format:
+def _video_format(kind: VideoKind) -> Format:
     def write(export: ExportRequest, progress: Progress) -> Files:
         file = write_video(
             export.frames,
@@ -235,38 +240,38 @@ def _video(kind: VideoKind) -> Format:
         else:
             _require_depth(export)
 
-    def describe(export: ExportRequest) -> list[str]:
-        missing_count = [] if kind == "flow" else note_depth(export)
-        return [*note_rate(export), *missing_count]
+    def make_notes(export: ExportRequest) -> list[str]:
+        depth_notes = [] if kind == "flow" else note_depth(export)
+        return [*note_rate(export), *depth_notes]
 
-    return Format(write=write, check=check, notes=describe, bytes_per_pixel=0.4)
+    return Format(write=write, check=check, notes=make_notes, bytes_per_pixel=0.4)
 
 
-def _points(suffix: Suffix) -> Format:
+def _points_format(suffix: Suffix) -> Format:
     def write(export: ExportRequest, progress: Progress) -> Files:
         if isinstance(export.frames, SequenceFrames):
             return write_points(export.sequence, export.folder, suffix=suffix, frames=export.chosen)
-        subfolder, written = export.subfolder(f"points-{suffix}"), []
+        subfolder, written_files = export.subfolder(f"points-{suffix}"), []
         names = file_names(export.frames.names)
         for done, frame in enumerate(export.chosen, 1):
             points = export.frames.result(frame).points()
             if len(points):
-                written.append(subfolder / f"{names[frame]}.{suffix}")
-                save_points(points, written[-1])
+                written_files.append(subfolder / f"{names[frame]}.{suffix}")
+                save_points(points, written_files[-1])
             progress(done, len(export.chosen))
-        if not written:
+        if not written_files:
             raise InputError(
                 f"no pair in {export.frames.folder} shows a point: {export.frames.depth_advice}"
             )
-        return written
+        return written_files
 
-    def describe(export: ExportRequest) -> list[str]:
+    def make_notes(export: ExportRequest) -> list[str]:
         return note_poses(export) if isinstance(export.frames, SequenceFrames) else []
 
-    return Format(write=write, check=_require_depth, notes=describe)
+    return Format(write=write, check=_require_depth, notes=make_notes)
 
 
-def _mesh(suffix: Suffix) -> Format:
+def _mesh_format(suffix: Suffix) -> Format:
     def write(export: ExportRequest, progress: Progress) -> Files:
         return write_meshes(export.sequence, export.folder, suffix=suffix, frames=export.chosen)
 
@@ -278,7 +283,7 @@ def _mesh(suffix: Suffix) -> Format:
     return Format(write=write, check=check, notes=note_poses)
 
 
-def _undistortion(suffix: Literal["exr", "tiff"]) -> Format:
+def _undistortion_format(suffix: Literal["exr", "tiff"]) -> Format:
     def write(export: ExportRequest, progress: Progress) -> Files:
         return write_undistortion(*source_camera(export), export.folder, suffix=suffix)
 
@@ -290,12 +295,12 @@ def _undistortion(suffix: Literal["exr", "tiff"]) -> Format:
     return Format(write=write, check=check, notes=note_shutter)
 
 
-def _model(
+def _model_format(
     name: str,
     write: Callable[..., object],
-    describe: Callable[[ExportRequest], list[str]] = note_models,
+    make_notes: Callable[[ExportRequest], list[str]] = note_models,
 ) -> Format:
-    """Return a format whose files fill a folder of their own."""
+    """Return a format that writes a folder of its own."""
 
     def write_files(export: ExportRequest, progress: Progress) -> Files:
         subfolder = export.folder / name
@@ -303,7 +308,7 @@ def _model(
         return [subfolder]
 
     def check(export: ExportRequest) -> None:
-        if max(map(len, pieces_of(export.sequence, export.chosen))) < 2:
+        if max(map(len, piece_frames(export.sequence, export.chosen))) < 2:
             raise InputError(f"{name} needs a piece of two frames or more, but there is none")
         if len(export.chosen) < len(export.frames):
             raise InputError(f"{name} exports all frames: leave out --start, --stop and --step")
@@ -311,10 +316,12 @@ def _model(
         if subfolder.exists():
             refuse_foreign_files(subfolder)
 
-    return Format(write=write_files, check=check, notes=describe, bytes_per_pixel=0.5)
+    return Format(write=write_files, check=check, notes=make_notes, bytes_per_pixel=0.5)
 
 
-def _path(write: Callable[..., Files], describe: Callable[[ExportRequest], list[str]]) -> Format:
+def _path_format(
+    write: Callable[..., Files], make_notes: Callable[[ExportRequest], list[str]]
+) -> Format:
     def write_files(export: ExportRequest, progress: Progress) -> Files:
         return write(
             export.sequence,
@@ -326,18 +333,18 @@ def _path(write: Callable[..., Files], describe: Callable[[ExportRequest], list[
     return Format(
         write=write_files,
         check=_require_poses,
-        notes=lambda export: [*note_poses(export), *describe(export)],
+        notes=lambda export: [*note_poses(export), *make_notes(export)],
     )
 
 
 FORMATS = {
-    "tum": _path(write_tum_paths, note_times),
-    "kitti": _path(write_kitti_paths, note_times),
-    "ply": _points("ply"),
-    "glb": _points("glb"),
-    "mesh-ply": _mesh("ply"),
-    "mesh-glb": _mesh("glb"),
-    "gltf-camera": _path(
+    "tum": _path_format(write_tum_paths, note_times),
+    "kitti": _path_format(write_kitti_paths, note_times),
+    "ply": _points_format("ply"),
+    "glb": _points_format("glb"),
+    "mesh-ply": _mesh_format("ply"),
+    "mesh-glb": _mesh_format("glb"),
+    "gltf-camera": _path_format(
         write_gltf_cameras, lambda export: [*note_rate(export), *note_lens(export)]
     ),
     "chan": Format(
@@ -347,17 +354,17 @@ FORMATS = {
         check=_require_poses,
         notes=lambda export: [*note_poses(export), *note_lens(export)],
     ),
-    "colmap": _model("colmap", write_colmap),
-    "colmap-text": _model("colmap-text", partial(write_colmap, form="text")),
-    "nerfstudio": _model("nerfstudio", write_nerfstudio, note_largest),
-    "undistortion": _undistortion("exr"),
-    "undistortion-tiff": _undistortion("tiff"),
-    "depth-tum": _depth("tum", 2.0),
-    "depth-kitti": _depth("kitti", 2.0),
-    "depth-exr": _depth("exr", 4.0),
-    "depth-tiff": _depth("tiff", 4.0),
-    "depth-pfm": _depth("pfm", 4.0),
-    "depth-dpt": _depth("dpt", 4.0),
+    "colmap": _model_format("colmap", write_colmap),
+    "colmap-text": _model_format("colmap-text", partial(write_colmap, form="text")),
+    "nerfstudio": _model_format("nerfstudio", write_nerfstudio, note_largest),
+    "undistortion": _undistortion_format("exr"),
+    "undistortion-tiff": _undistortion_format("tiff"),
+    "depth-tum": _depth_format("tum", 2.0),
+    "depth-kitti": _depth_format("kitti", 2.0),
+    "depth-exr": _depth_format("exr", 4.0),
+    "depth-tiff": _depth_format("tiff", 4.0),
+    "depth-pfm": _depth_format("pfm", 4.0),
+    "depth-dpt": _depth_format("dpt", 4.0),
     "masks": Format(
         write=lambda export, progress: write_masks(
             export.frames, export.subfolder("masks"), chosen=export.chosen, progress=progress
@@ -365,10 +372,10 @@ FORMATS = {
         check=lambda export: export.frames.masks(export.chosen[0]),
         bytes_per_pixel=0.2,
     ),
-    "video-depth": _video("depth"),
-    "video-flow": _video("flow"),
-    "video-side-by-side": _video("side-by-side"),
-    "video-anaglyph": _video("anaglyph"),
-    "video-wiggle": _video("wiggle"),
+    "video-depth": _video_format("depth"),
+    "video-flow": _video_format("flow"),
+    "video-side-by-side": _video_format("side-by-side"),
+    "video-anaglyph": _video_format("anaglyph"),
+    "video-wiggle": _video_format("wiggle"),
 }
 """All formats by name; docs/exports.md says what is in each."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.errors import InputError
-from tisfm.exports.export_request import chosen_frames
+from tisfm.exports.export_request import select_frames
 from tisfm.exports.float_images import check_exr, write_exr, write_pfm, write_tiff
 from tisfm.folders.result_folder import make_subfolder
 from tisfm.formats import write_depth_png, write_dpt, write_png
@@ -17,12 +17,12 @@ from tisfm.results.result_frames import ResultFrames, file_names
 from tisfm.show import flow_radius
 from tisfm.show.palette import DEPTH_PERCENTILE, FLOW_PERCENTILE
 
-# Set by hand.
-SAMPLED_FRAMES = 48
-SAMPLED_PIXELS = 20_000  # about, of each frame
+# A sample of frames and pixels gives the ranges of all values; set by hand.
+SAMPLED_FRAMES = 48  # at most
+SAMPLED_PIXELS = 20_000  # of each frame, about
 
 
-def spread_frames(frames: Sequence[int], count: int = SAMPLED_FRAMES) -> list[int]:
+def sample_frames(frames: Sequence[int], count: int = SAMPLED_FRAMES) -> list[int]:
     """Return at most `count` of the frames, evenly spread."""
     if len(frames) <= count:
         return list(frames)
@@ -42,7 +42,7 @@ def inverse_depth_ranges(
         groups.setdefault(frames.scale(frame)[0], []).append(frame)
     ranges = {}
     for group, members in groups.items():
-        samples = [_positive_samples(frames, frame) for frame in spread_frames(members)]
+        samples = [_positive_samples(frames, frame) for frame in sample_frames(members)]
         values = np.concatenate(samples)
         ranges[group] = float(np.percentile(values, percentile)) if len(values) else 0.0
     return ranges
@@ -51,7 +51,7 @@ def inverse_depth_ranges(
 def speed_range(frames: ResultFrames, chosen: Sequence[int]) -> float:
     """Return the length of image motion, px, that 98 % of the sample stay below."""
     samples = []
-    for frame in spread_frames(chosen):
+    for frame in sample_frames(chosen):
         radius = flow_radius(subsample_pixels(frames.flow(frame))).ravel()
         samples.append(radius[np.isfinite(radius)])
     values = np.concatenate(samples)
@@ -72,8 +72,8 @@ def _positive_samples(frames: ResultFrames, frame: int) -> np.ndarray:
 DepthKind = Literal["tum", "kitti", "exr", "tiff", "pfm", "dpt"]
 Progress = Callable[[int, int], None]
 VALUES_PER_UNIT = {"tum": 5000.0, "kitti": 256.0}  # as the datasets of these names define
-MAX_VALUE = 65535  # of a 16-bit file
-_MAX_SHARE_OUT_OF_RANGE = 0.5  # of depth; with a larger share an export is refused; set by hand
+MAX_VALUE = 65535  # largest value in a 16-bit file
+_MAX_SHARE_OUT_OF_RANGE = 0.5  # of depth; a larger share is an error; set by hand
 _MIN_MEDIAN_VALUE = 10  # median value below which steps of depth are too coarse; set by hand
 SUFFIXES = {"tum": ".png", "kitti": ".png", "exr": ".exr", "tiff": ".tiff", "pfm": ".pfm",
             "dpt": ".dpt"}  # fmt: skip
@@ -144,7 +144,7 @@ def write_depths(
 
 def frames_with_depth(frames: ResultFrames, chosen: Iterable[int] | None = None) -> list[int]:
     """Return the frames with depth; raise ValueError if there is none."""
-    with_depth = [frame for frame in chosen_frames(chosen, len(frames)) if frames.has_depth(frame)]
+    with_depth = [frame for frame in select_frames(chosen, len(frames)) if frames.has_depth(frame)]
     if not with_depth:
         raise InputError(f"no frame of {frames.folder} has depth: {frames.depth_advice}")
     return with_depth
@@ -159,7 +159,7 @@ def check_depth_range(frames: ResultFrames, chosen: list[int], kind: DepthKind) 
     scale = VALUES_PER_UNIT[kind]
     depth = [
         depth_from_inverse(subsample_pixels(frames.inverse_depth(frame)))
-        for frame in spread_frames(chosen)
+        for frame in sample_frames(chosen)
     ]
     values = np.concatenate([part[np.isfinite(part)] for part in depth])
     if not len(values):
@@ -250,7 +250,7 @@ def write_masks(
     >>> written[0].parent.name
     'at-rest'
     """
-    numbers, names, written = chosen_frames(chosen, len(frames)), file_names(frames.names), []
+    numbers, names, written = select_frames(chosen, len(frames)), file_names(frames.names), []
     for done, frame in enumerate(numbers, 1):
         for name, mask in frames.masks(frame).items():
             subfolder = make_subfolder(Path(folder) / name)

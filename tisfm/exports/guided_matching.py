@@ -1,7 +1,7 @@
 """Positions of points of one frame in another: predicted by depth and pose, measured in images.
 
-The tracker of the reconstruction cannot replace this: it follows points from frame to frame, and
-its tracks end within tens of frames. Here depth and poses lead to points in keyframes far apart.
+The tracker of the reconstruction cannot replace this module: it follows points from frame to frame,
+and its tracks end within tens of frames. Here depth and poses predict a point in distant keyframes.
 """
 
 from dataclasses import dataclass
@@ -17,18 +17,18 @@ from tisfm.reconstruction.tracks.settings import TRACKS
 WINDOW_WIDTH = 13  # px, width of the window
 PYRAMID_LEVELS = 2  # pyramid levels above the frame itself
 MAX_ITERATIONS = 20
-MIN_STEP = 0.005  # px, of the last iteration
-MIN_GRADIENT = 1e-4  # least eigenvalue of the window, in the unit of OpenCV
-MAX_RETURN_ERROR = 0.3  # px between a point and its match, matched back
+MIN_STEP = 0.005  # px: the search ends with a smaller step
+MIN_EIGENVALUE = 1e-4  # bound of the smaller eigenvalue of the window, in the unit of OpenCV
+MAX_RETURN_ERROR = 0.3  # px between a point and the match of its match in the first frame
 MAX_CORRECTION = 10.0  # px between prediction and match, in frames of 640 px
-MIN_CORRELATION = 0.85  # of the patches around a match
+MIN_CORRELATION = 0.85  # of the two patches around a match
 PATCH_WIDTH = 11  # px, width of a patch
 MIN_PATCH_POWER = 1e-6  # squared grey levels: a patch with less has no texture
-MAX_MATCH_STD = 0.15  # px, of a match, estimated from the difference of the patches
-BRIGHTNESS_WINDOW = 31  # px, over which both frames are given the same mean brightness
-SURFACE_WINDOW = 9  # px around a point that belongs to one surface
-MAX_DEPTH_STEP = 0.15  # relative difference of inverse depth in that window
-MIN_DEPTH = 1e-6  # least Z of a visible point, as a share of its depth in the first frame
+MAX_MATCH_STD = 0.15  # px: standard deviation of a match, from the difference of the patches
+BRIGHTNESS_WINDOW = 31  # px: within this window both frames get the same mean brightness
+SURFACE_WINDOW = 9  # px: window around a point in which all pixels show one surface
+MAX_DEPTH_STEP = 0.15  # relative difference of inverse depth in this window
+MIN_DEPTH = 1e-6  # bound of Z of a visible point, as a share of its depth in the first frame
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,24 +64,24 @@ def measure_points(
     height, width = grey0.shape
     result = np.full((len(points), 2), np.nan)
     warp = _warp(inverse_depth, pose0, pose1)
-    predicted = _interpolate(warp, points)
-    is_visible = _inside(predicted, grey1.shape)
+    predictions = _interpolate(warp, points)
+    is_visible = _are_inside(predictions, grey1.shape)
     if not is_visible.any():
         return result
     x, y = cv2.split(warp)
-    warped = cv2.remap(grey1, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    warped = _match_brightness(warped, grey0)
+    warped_frame = cv2.remap(grey1, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    warped_frame = _match_brightness(warped_frame, grey0)
     start = points[is_visible]
-    matches, is_found = _match(grey0, warped, start)
-    returned_points, is_returned = _match(warped, grey0, matches)
+    matches, is_found = _match(grey0, warped_frame, start)
+    returned_points, is_returned = _match(warped_frame, grey0, matches)
     limit = MAX_CORRECTION * max(height, width) / 640
     is_found &= is_returned & (np.hypot(*(returned_points - start).T) < MAX_RETURN_ERROR)
     is_found &= np.hypot(*(matches - start).T) < limit
-    is_found &= _inside(matches, grey0.shape)
+    is_found &= _are_inside(matches, grey0.shape)
     positions = np.full_like(matches, np.nan)
     positions[is_found] = _interpolate(warp, matches[is_found])
-    is_found &= _inside(positions, grey1.shape)
-    is_found[is_found] = are_reliable(grey0, warped, start[is_found], matches[is_found])
+    is_found &= _are_inside(positions, grey1.shape)
+    is_found[is_found] = are_reliable(grey0, warped_frame, start[is_found], matches[is_found])
     positions[~is_found] = np.nan
     result[is_visible] = positions
     return result
@@ -95,29 +95,28 @@ def are_reliable(
     points0: np.ndarray,
     points1: np.ndarray,
 ) -> np.ndarray:
-    """Return which matches look alike and are well localised in both directions, (N,) bool.
+    """Return which matches have similar patches and an accurate position in both directions, (N,).
 
     The difference of the patches counts as noise. Noise moves a match by its standard deviation
     over the gradient. Along an edge the gradient is small: a match may be far off although the
-    patches look alike.
+    patches are similar.
     """
     if not len(points0):
         return np.zeros(0, bool)
-    first, second = _patches(grey0, points0), _patches(grey1, points1)
-    power = (first**2).sum(axis=(1, 2))
-    norm = np.sqrt(power * (second**2).sum(axis=(1, 2)))
-    correlation = (first * second).sum(axis=(1, 2)) / np.maximum(norm, MIN_PATCH_POWER)
+    patches0, patches1 = _patches(grey0, points0), _patches(grey1, points1)
+    power = (patches0**2).sum(axis=(1, 2))
+    norm = np.sqrt(power * (patches1**2).sum(axis=(1, 2)))
+    correlation = (patches0 * patches1).sum(axis=(1, 2)) / np.maximum(norm, MIN_PATCH_POWER)
     noise = 2 * (1 - correlation) * power / PATCH_WIDTH**2  # of both patches, after equal contrast
-    down, across = np.gradient(first, axis=(1, 2))
+    down, across = np.gradient(patches0, axis=(1, 2))
     xx, xy, yy = ((a * b).sum(axis=(1, 2)) for a, b in ((across,) * 2, (across, down), (down,) * 2))
     min_eigenvalue = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)
-    min_eigenvalue -= (
-        PATCH_WIDTH**2 * noise / 4
-    )  # the part that noise adds to the squares of central differences
+    # minus the part that noise adds to the squares of central differences
+    min_eigenvalue -= PATCH_WIDTH**2 * noise / 4
     return np.asarray((correlation > MIN_CORRELATION) & (noise < MAX_MATCH_STD**2 * min_eigenvalue))
 
 
-def is_smooth(inverse_depth: np.ndarray) -> np.ndarray:
+def smooth_pixels(inverse_depth: np.ndarray) -> np.ndarray:
     """Return the pixels whose neighbourhood is one surface, (H, W) bool."""
     finite_inverse = np.nan_to_num(inverse_depth, nan=0.0, posinf=0.0, neginf=0.0)
     box = np.ones((SURFACE_WINDOW, SURFACE_WINDOW), np.uint8)
@@ -128,7 +127,7 @@ def is_smooth(inverse_depth: np.ndarray) -> np.ndarray:
 def points_in_world(
     points: np.ndarray, inverse_depth: np.ndarray, pose: PosedCamera, shape: tuple[int, int]
 ) -> Floats:
-    """Return the points of the world at pixels of a frame, (N, 3), from inverse depth, (N,)."""
+    """Return points in the world, (N, 3), from pixels (N, 2) of a frame and inverse depth (N,)."""
     rays = (points - pose.camera.center_for(*shape)) / pose.camera.focal
     local = np.column_stack([rays, np.ones(len(points))]) / inverse_depth[:, None]
     return np.asarray(local @ pose.matrix[:3, :3].T + pose.matrix[:3, 3])
@@ -156,18 +155,17 @@ def _warp(inverse_depth: np.ndarray, pose0: PosedCamera, pose1: PosedCamera) -> 
         np.where(in_front, position * (focal / z) + np.float32(center), outside)
         for position, center in ((moved_x, cx), (moved_y, cy))
     ]
-    clipped = [
-        np.clip(position, outside, -outside) for position in warp
-    ]  # OpenCV needs a limited range
-    return np.asarray(cv2.merge(clipped))
+    # OpenCV needs a limited range.
+    warp = [np.clip(position, outside, -outside) for position in warp]
+    return np.asarray(cv2.merge(warp))
 
 
-def _match_brightness(warped: np.ndarray, grey: np.ndarray) -> np.ndarray:
+def _match_brightness(warped_frame: np.ndarray, grey: np.ndarray) -> np.ndarray:
     """Return a frame with the local mean brightness of another, (H, W) uint8."""
     size = (BRIGHTNESS_WINDOW, BRIGHTNESS_WINDOW)
-    first, second = (image.astype(np.float32) for image in (warped, grey))
-    first += cv2.blur(second, size) - cv2.blur(first, size)
-    return np.asarray(np.rint(first).clip(0, 255).astype(np.uint8))
+    result, target = (image.astype(np.float32) for image in (warped_frame, grey))
+    result += cv2.blur(target, size) - cv2.blur(result, size)
+    return np.asarray(np.rint(result).clip(0, 255).astype(np.uint8))
 
 
 def _match(
@@ -185,19 +183,19 @@ def _match(
         winSize=(WINDOW_WIDTH, WINDOW_WIDTH),
         maxLevel=PYRAMID_LEVELS,
         criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, MAX_ITERATIONS, MIN_STEP),
-        minEigThreshold=MIN_GRADIENT,
+        minEigThreshold=MIN_EIGENVALUE,
     )
     return matches.astype(np.float64), status[:, 0] > 0
 
 
-def _inside(points: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+def _are_inside(points: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """Return which points lie in a frame, away from its border."""
     last = np.array([shape[1], shape[0]]) - 1 - TRACKS.border
     return np.asarray(((points >= TRACKS.border) & (points <= last)).all(axis=1))
 
 
 def _patches(grey: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return patches around points, without their means, (N, PATCH, PATCH) float32."""
+    """Return patches around points minus their means, (N, PATCH_WIDTH, PATCH_WIDTH) float32."""
     offsets = np.arange(PATCH_WIDTH, dtype=np.float32) - PATCH_WIDTH // 2
     dx, dy = (grid.ravel() for grid in np.meshgrid(offsets, offsets))
     x, y = (points[:, k, None].astype(np.float32) + d for k, d in enumerate((dx, dy)))

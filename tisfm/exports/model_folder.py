@@ -18,17 +18,17 @@ from tisfm.formats.atomic import copy_file, is_temporary, link_or_copy
 from tisfm.reconstruction.result.folder import PICTURES
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
-FORMAT = 1
+FORMAT = 1  # version of ``export.json``
 RECORD = "export.json"  # written last, removed first
 IMAGES, MASKS, MODELS = "images", "masks", "sparse"
 TRANSFORMS, POINTS = "transforms.json", "sparse_points.ply"
-PARTS = (RECORD, IMAGES, MASKS, MODELS, TRANSFORMS, POINTS)
+ENTRIES = (RECORD, IMAGES, MASKS, MODELS, TRANSFORMS, POINTS)  # of the folder
 _SYSTEM_FILES = {".DS_Store", "Thumbs.db", "desktop.ini"}  # file browsers write them
 NEW, EARLIER = ".tisfm-new", ".tisfm-earlier"
 
 
 @contextmanager
-def replaced_export(
+def open_export(
     folder: str | PathLike[str],  # made if it does not exist
     record: dict[str, Any],  # contents of ``export.json``; the block may add to it
 ) -> Iterator[Path]:
@@ -37,15 +37,15 @@ def replaced_export(
     If an exception leaves the block, the earlier export stays, or the folder is removed if it is
     new. The next export removes what a killed process has left.
 
-    Raises FileExistsError if the folder holds files that are not of an export.
+    Raises FileExistsError if the folder holds files that no export wrote.
 
     Raises OSError if the folder cannot be made or written to, or another run writes to it.
     """
     is_new_folder = not Path(folder).exists()
     path = make_result_folder(folder)
     try:
-        with _new_folder(path, record) as new:
-            yield new
+        with _new_folder(path, record) as new_folder:
+            yield new_folder
     except BaseException:
         if is_new_folder:
             with suppress(OSError):  # the folder has other files by now
@@ -67,24 +67,24 @@ def _new_folder(path: Path, record: dict[str, Any]) -> Iterator[Path]:
         except BaseException:
             shutil.rmtree(path / NEW, ignore_errors=True)
             raise
-        _exchange(path)
+        _replace_earlier(path)
 
 
-def _exchange(path: Path) -> None:
+def _replace_earlier(path: Path) -> None:
     """Replace the earlier export by the new one; ``export.json`` goes first and comes last."""
     remove(path / EARLIER)
     (path / EARLIER).mkdir()
     moved_names: list[str] = []
     try:
-        _move(path, path / EARLIER, PARTS)
-        for name in reversed(PARTS):
+        _move(path, path / EARLIER, ENTRIES)
+        for name in reversed(ENTRIES):
             if os.path.lexists(path / NEW / name):
                 moved_names.append(name)
                 (path / NEW / name).replace(path / name)
     except BaseException:
         for name in moved_names:
             remove(path / name)
-        _move(path / EARLIER, path, PARTS[::-1])
+        _move(path / EARLIER, path, ENTRIES[::-1])
         shutil.rmtree(path / NEW, ignore_errors=True)
         raise
     finally:
@@ -99,13 +99,13 @@ def _move(source: Path, target: Path, names: Iterable[str]) -> None:
 
 
 def refuse_foreign_files(path: Path) -> None:
-    """Raise FileExistsError if a folder holds files that are not of an export."""
+    """Raise FileExistsError if a folder holds files that no export wrote."""
     names = {item.name for item in path.iterdir() if not is_temporary(item.name)} - {
         LOCK,
         *_SYSTEM_FILES,
     }
     own_names = {RECORD, NEW, EARLIER} & names
-    foreign = sorted(names - {NEW, EARLIER} - set(PARTS if own_names else ()))
+    foreign = sorted(names - {NEW, EARLIER} - set(ENTRIES if own_names else ()))
     if foreign:
         raise FileExistsError(
             f"{path} has other files, such as {foreign[0]}: give a new folder, or an empty one"

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tisfm.errors import InputError
-from tisfm.exports.colmap import ExportedModel, model_summary, pieces_of
+from tisfm.exports.colmap import ExportedModel, model_frames, model_summary
 from tisfm.exports.model_folder import (
     IMAGES,
     MASKS,
@@ -19,12 +19,12 @@ from tisfm.exports.model_folder import (
     Images,
     check_images,
     has_masks,
+    open_export,
     picture_name,
-    replaced_export,
     write_masks,
     write_pictures,
 )
-from tisfm.exports.tracks import cells_of, measured_tracks
+from tisfm.exports.tracks import count_cells, measure_tracks
 from tisfm.formats import atomic_write
 from tisfm.point_cloud import PointCloud
 from tisfm.reconstruction.mapping.database import PIXEL_CENTRE
@@ -95,30 +95,31 @@ def write_nerfstudio(
     9
     """
     check_images(images)
-    cells_of(reconstruction.shape, spacing)
-    pieces = pieces_of(reconstruction)
-    chosen = next(iter(pieces)) if piece is None else piece
-    if chosen not in pieces:
+    count_cells(reconstruction.shape, spacing)
+    pieces = model_frames(reconstruction)
+    piece_number = next(iter(pieces)) if piece is None else piece
+    if piece_number not in pieces:
         raise InputError(
-            f"piece is {chosen}: expected one of several frames, {', '.join(map(str, pieces))}"
+            f"piece is {piece_number}: expected a piece of several frames, "
+            f"{', '.join(map(str, pieces))}"
         )
-    frames = pieces[chosen]
+    frames = pieces[piece_number]
     record: dict[str, Any] = {"kind": "nerfstudio", "version": reconstruction.version}
-    with replaced_export(folder, record) as new:
-        tracks = measured_tracks(reconstruction, chosen, spacing=spacing, progress=progress)
+    with open_export(folder, record) as new_folder:
+        tracks = measure_tracks(reconstruction, piece_number, spacing=spacing, progress=progress)
         cloud = PointCloud(
             positions=(tracks.positions @ TO_Z_UP[:3, :3].T).astype(np.float32),
             colors=tracks.colors,
             confidence=np.ones(len(tracks), np.float32),
         )
-        cloud.save(new / POINTS)
-        with atomic_write(new / TRANSFORMS) as file:
+        cloud.save(new_folder / POINTS)
+        with atomic_write(new_folder / TRANSFORMS) as file:
             file.write(json.dumps(_transforms_record(reconstruction, frames), indent=1).encode())
         if images != "none":
-            write_pictures(reconstruction, frames, new / IMAGES, images)
+            write_pictures(reconstruction, frames, new_folder / IMAGES, images)
         if has_masks(reconstruction):
-            write_masks(reconstruction, frames, new / MASKS, ".png")
-        model = model_summary(TRANSFORMS, chosen, frames, tracks)
+            write_masks(reconstruction, frames, new_folder / MASKS, ".png")
+        model = model_summary(TRANSFORMS, piece_number, frames, tracks)
         record["models"] = [asdict(model)]
     return model
 

@@ -12,8 +12,8 @@ from tisfm.exports.model_folder import read_checked_picture
 from tisfm.reconstruction.result.folder import depth_path
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
-MIN_OBSERVATIONS = 3  # of a point; 2 in a piece of two frames; set by hand
-CACHED_FRAMES = 24  # frames in memory; set by hand
+MIN_OBSERVATIONS = 3  # frames that observe a point; 2 in a piece of two frames; set by hand
+CACHED_FRAMES = 24  # frames that stay in memory; set by hand
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,14 +72,14 @@ class PieceFrames:
 
 
 # Set by hand.
-GAUSS_NEWTON_ITERATIONS = 8  # of Gauss–Newton
-NOISE = 0.5  # px, of a measured position; the threshold of Huber's weights
-MAX_RESIDUAL = 1.5  # px, in frames up to 640 px: farther observations are dropped
-# Standard deviation of the initial depth, which restrains a point if its rays are parallel.
-MIN_RELATIVE_STD = 0.05  # share of the depth
-STD_FACTOR = 2.0  # of the standard deviation in the depth map
+GAUSS_NEWTON_ITERATIONS = 8  # for each point
+NOISE = 0.5  # px: standard deviation of a measured position; the threshold of Huber's weights
+MAX_RESIDUAL = 1.5  # px, in frames up to 640 px: observations with larger residuals are dropped
+# The standard deviation of the initial depth restrains a point if its rays are parallel.
+MIN_RELATIVE_STD = 0.05  # standard deviation, as a share of the depth
+STD_FACTOR = 2.0  # factor of the standard deviation in the depth map
 MAX_BATCH_OBSERVATIONS = 2**17  # observations that are processed together
-MIN_DEPTH = 1e-3  # from a camera, in initial depths
+MIN_DEPTH = 1e-3  # bound of Z in a camera, as a share of the initial depth
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,9 +112,8 @@ def triangulate(
     for _ in range(GAUSS_NEWTON_ITERATIONS):
         residual, jacobian = _linearise(points, image_points, matrices, focal, centers, depth)
         distance = np.hypot(residual[..., 0], residual[..., 1])
-        weight = np.where(
-            is_observed, 1 / np.maximum(distance, NOISE) / NOISE, 0
-        )  # Huber's weight over the variance
+        # Huber's weight over the variance
+        weight = np.where(is_observed, 1 / np.maximum(distance, NOISE) / NOISE, 0)
         matrix = np.einsum("nm,nmki,nmkj->nij", weight, jacobian, jacobian, optimize=True)
         vector = np.einsum("nm,nmki,nmk->ni", weight, jacobian, residual, optimize=True)
         matrix += np.einsum("n,i,j->nij", std**-2, axis, axis)

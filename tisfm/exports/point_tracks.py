@@ -6,22 +6,28 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tisfm.exports.guided_matching import are_reliable, is_smooth, measure_points, points_in_world
+from tisfm.exports.guided_matching import (
+    are_reliable,
+    measure_points,
+    points_in_world,
+    smooth_pixels,
+)
 from tisfm.exports.observations import ObservedPoints, PieceFrames, consistent_points
 from tisfm.reconstruction.frames.image_motion import TRACKING_SETTINGS
 from tisfm.reconstruction.tracks.tracker import Observations, Tracker, choose_new_points
 from tisfm.reconstruction.tracks.triangulation import triangulate_tracks
 
 # Set by hand.
-NEIGHBOUR_KEYFRAMES = 4  # to either side of a keyframe, besides all frames up to the next keyframe
+NEIGHBOUR_KEYFRAMES = 4  # to either side of a keyframe, besides the frames up to the next keyframe
 MAX_FRAME_DISTANCE = 120  # frames to either side of a keyframe
 DISTANT_KEYFRAMES = 4  # further keyframes that see the same points
-MIN_SHARED = 0.5  # share of the points of a keyframe that such a keyframe sees
-MAX_DISTANCE_RATIO = 1.6  # between views of a point: beyond it the point looks different
-SAMPLED_POINTS = 64  # that decide which keyframes see the same points
-MIN_POINTS = 150  # of a frame other than a keyframe: with fewer, points begin there as well
-NEIGHBOUR_STEPS = (1, 2, 3, 4, 6, 8, 12)  # frames to either side that such a frame is matched with
-MAX_RELATIVE_STD = 0.3  # of inverse depth that predicts positions
+MIN_VISIBLE_SHARE = 0.5  # share of the points of a keyframe that a distant keyframe sees
+MAX_DISTANCE_RATIO = 1.6  # of two cameras from a point: beyond it, the images differ too much
+SAMPLED_POINTS = 64  # points that decide which keyframes see the same points
+MIN_POINTS = 150  # points in a frame other than a keyframe: with fewer, points begin there too
+# distances of the frames that a frame with few points is matched with, frames to either side
+NEIGHBOUR_STEPS = (1, 2, 3, 4, 6, 8, 12)
+MAX_RELATIVE_STD = 0.3  # standard deviation of inverse depth, as a share, for a new point
 
 FrameChooser = Callable[[int, np.ndarray, np.ndarray], list[int]]
 
@@ -36,7 +42,7 @@ class DepthTracks:
         cells: int,
     ) -> None:
         self._frames, self._cells = frames, cells
-        self._observed: dict[int, list[np.ndarray]] = {frame: [] for frame in frames.numbers}
+        self._observed_points: dict[int, list[np.ndarray]] = {frame: [] for frame in frames.numbers}
 
     def find(self, progress: Callable[[int, int], None]) -> list[ObservedPoints]:
         """Return the points of all frames; `progress` receives finished frames and all frames."""
@@ -46,7 +52,7 @@ class DepthTracks:
             groups += self._start_points(frame, self._frames_of_keyframe)
             progress(frame - numbers[0] + 1, len(numbers))
         for frame in sorted(set(numbers) - set(keyframes)):
-            if sum(map(len, self._observed[frame])) < MIN_POINTS:
+            if sum(map(len, self._observed_points[frame])) < MIN_POINTS:
                 groups += self._start_points(frame, self._neighbours)
         progress(len(numbers), len(numbers))
         return groups
@@ -58,9 +64,11 @@ class DepthTracks:
         with np.errstate(invalid="ignore", divide="ignore"):
             relative_std = result.inverse_depth_std(frame) / inverse_depth
             is_reliable = (inverse_depth > 0) & (relative_std < MAX_RELATIVE_STD)
-        is_reliable &= frames.usable_pixels(frame) & is_smooth(inverse_depth)
-        occupied = np.vstack([np.empty((0, 2)), *self._observed[frame]])
-        points = choose_new_points(frames.grey(frame), occupied, ~is_reliable, self._cells)
+        is_reliable &= frames.usable_pixels(frame) & smooth_pixels(inverse_depth)
+        occupied_positions = np.vstack([np.empty((0, 2)), *self._observed_points[frame]])
+        points = choose_new_points(
+            frames.grey(frame), occupied_positions, ~is_reliable, self._cells
+        )
         if not len(points):
             return []
         column, row = points.astype(np.intp).T
@@ -72,17 +80,17 @@ class DepthTracks:
             frame,
             *(k for k in choose_frames(frame, positions, 1 / inverse) if k != frame),
         ]
-        positions_elsewhere = [
+        other_image_points = [
             self._measure_in(frame, k, points, inverse_depth) for k in observers[1:]
         ]
-        image_points = np.stack([points, *positions_elsewhere], axis=1)
+        image_points = np.stack([points, *other_image_points], axis=1)
         poses = [frames.pose(k) for k in observers]
         is_kept, image_points, estimate = consistent_points(
             image_points, poses, result.shape, positions, std, frames.min_observations
         )
         for number, observer in enumerate(observers):
             observed_points = image_points[np.isfinite(image_points[:, number, 0]), number]
-            self._observed[observer].append(observed_points.astype(np.float32))
+            self._observed_points[observer].append(observed_points.astype(np.float32))
         group = ObservedPoints(
             frames=observers,
             image_points=image_points,
@@ -105,9 +113,9 @@ class DepthTracks:
             frames.pose(frame),
             frames.pose(other),
         )
-        found = np.flatnonzero(np.isfinite(image_points[:, 0]))
-        column, row = np.rint(image_points[found]).astype(np.intp).T
-        image_points[found[~frames.usable_pixels(other)[row, column]]] = np.nan
+        indices = np.flatnonzero(np.isfinite(image_points[:, 0]))
+        column, row = np.rint(image_points[indices]).astype(np.intp).T
+        image_points[indices[~frames.usable_pixels(other)[row, column]]] = np.nan
         return image_points
 
     def _frames_of_keyframe(
@@ -123,8 +131,8 @@ class DepthTracks:
         nearby_keyframes = keyframes[
             max(0, index - NEIGHBOUR_KEYFRAMES) : index + NEIGHBOUR_KEYFRAMES + 1
         ]
-        nearby = {*numbers[begin:end], *nearby_keyframes}
-        return sorted(nearby | self._distant_keyframes(nearby, positions, depth))
+        nearby_frames = {*numbers[begin:end], *nearby_keyframes}
+        return sorted(nearby_frames | self._distant_keyframes(nearby_frames, positions, depth))
 
     def _distant_keyframes(
         self, neighbours: set[int], positions: np.ndarray, depth: np.ndarray
@@ -145,7 +153,7 @@ class DepthTracks:
         visible_share = (is_similar & is_inside).mean(axis=1)
         visible_share[np.isin(keyframes, list(neighbours))] = 0
         candidates = np.argsort(-visible_share, kind="stable")[:DISTANT_KEYFRAMES]
-        return {keyframes[k] for k in candidates if visible_share[k] >= MIN_SHARED}
+        return {keyframes[k] for k in candidates if visible_share[k] >= MIN_VISIBLE_SHARE}
 
     def _neighbours(self, frame: int, positions: np.ndarray, depth: np.ndarray) -> list[int]:
         """Return frames before and after a frame, in the order of time."""
@@ -155,8 +163,8 @@ class DepthTracks:
         return [numbers[index + step] for step in steps if 0 <= index + step < len(numbers)]
 
 
-MAX_LENGTH = 48  # frames; a longer track continues as another one; set by hand
-RELATIVE_STD = 1.0  # of the initial depth: so large that it hardly restrains a point
+MAX_TRACK_LENGTH = 48  # frames; a longer track continues as a new track; set by hand
+INITIAL_RELATIVE_STD = 1.0  # of the initial depth: so large that it hardly restrains a point
 
 
 @dataclass
@@ -165,7 +173,7 @@ class _Group:
 
     tracks: np.ndarray  # (N,) int64, ascending
     frames: list[int] = field(default_factory=list)
-    # of every frame: (N, 2), NaN for a lost point
+    # for every frame: (N, 2), px; NaN for a lost point
     image_points: list[np.ndarray] = field(default_factory=list)
 
     def add(self, frame: int, observations: Observations) -> np.ndarray:
@@ -181,7 +189,7 @@ class _Group:
         return is_own
 
 
-def tracks_along_flow(
+def track_along_flow(
     frames: PieceFrames,
     # number of cells along the longer side; a new point begins in each cell without a point
     cells: int,
@@ -191,7 +199,7 @@ def tracks_along_flow(
     """Return points with parallax whose observations follow the image motion."""
     groups = []
     for group in _groups(frames, cells, progress):
-        groups += _triangulated_group(frames, group)
+        groups += _triangulate_group(frames, group)
     return groups
 
 
@@ -199,28 +207,28 @@ def _groups(
     frames: PieceFrames, cells: int, progress: Callable[[int, int], None]
 ) -> Iterator[_Group]:
     """Track points through all frames; yield groups of tracks when they end."""
-    active: list[_Group] = []
+    groups: list[_Group] = []
     for count, (frame, observations) in enumerate(_tracks_of_frames(frames, cells), start=1):
         is_new = np.ones(len(observations.tracks), bool)
-        continued = []
-        for group in active:
+        open_groups = []
+        for group in groups:
             is_own = group.add(frame, observations)
-            if is_own.any() and len(group.frames) < MAX_LENGTH:
-                continued.append(group)
+            if is_own.any() and len(group.frames) < MAX_TRACK_LENGTH:
+                open_groups.append(group)
                 is_new &= ~is_own
             else:
                 yield group
         if is_new.any():
             group = _Group(tracks=observations.tracks[is_new])
             group.add(frame, observations)
-            continued.append(group)
-        active = continued
+            open_groups.append(group)
+        groups = open_groups
         progress(count, len(frames.numbers))
-    yield from active
+    yield from groups
 
 
 def _tracks_of_frames(frames: PieceFrames, cells: int) -> Iterator[tuple[int, Observations]]:
-    """Yield frames and their tracks; a track ends where the images no longer look alike."""
+    """Yield frames and their tracks; a track ends where the image patches differ."""
     tracker = Tracker(frames.result.camera, TRACKING_SETTINGS, cells)
     previous, lost_tracks = None, np.empty(0, np.int64)
     for frame, grey in zip(frames.numbers, map(frames.grey, frames.numbers), strict=True):
@@ -228,7 +236,7 @@ def _tracks_of_frames(frames: PieceFrames, cells: int) -> Iterator[tuple[int, Ob
         if previous is not None:
             previous_grey, previous_tracks = previous
             previous_index, index = previous_tracks.common_tracks(observations)
-            reliable = are_reliable(
+            is_reliable = are_reliable(
                 previous_grey,
                 grey,
                 previous_tracks.points[previous_index],
@@ -236,14 +244,14 @@ def _tracks_of_frames(frames: PieceFrames, cells: int) -> Iterator[tuple[int, Ob
             )
             lost_tracks = np.union1d(
                 np.intersect1d(lost_tracks, observations.tracks),
-                observations.tracks[index[~reliable]],
+                observations.tracks[index[~is_reliable]],
             )
         previous = grey, observations
         is_alive = ~np.isin(observations.tracks, lost_tracks)
         yield frame, observations.select(is_alive)
 
 
-def _triangulated_group(frames: PieceFrames, group: _Group) -> list[ObservedPoints]:
+def _triangulate_group(frames: PieceFrames, group: _Group) -> list[ObservedPoints]:
     """Return the points on which the tracks of a group agree."""
     if len(group.frames) < frames.min_observations:
         return []
@@ -262,7 +270,7 @@ def _triangulated_group(frames: PieceFrames, group: _Group) -> list[ObservedPoin
     if not len(initial):
         return []
     image_points = image_points[np.searchsorted(group.tracks, initial.tracks)]
-    std = np.full(len(initial), RELATIVE_STD)
+    std = np.full(len(initial), INITIAL_RELATIVE_STD)
     _, image_points, points = consistent_points(
         image_points, poses, result.shape, initial.positions, std, frames.min_observations
     )

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from tisfm.errors import InputError
-from tisfm.exports.export_request import piece_files, pieces_of
+from tisfm.exports.export_request import piece_files, piece_frames
 from tisfm.formats import atomic_write
 from tisfm.formats.glb import glb_points
 from tisfm.point_cloud import PointCloud
@@ -57,20 +57,20 @@ def write_points(
     >>> [str(file) for file in write_points(tisfm.Reconstruction.load("walk"), ".", suffix="glb")]
     ['points.glb']
     """
-    pieces = pieces_of(result, frames)
-    written = []
+    pieces = piece_frames(result, frames)
+    written_files = []
     for file, piece in zip(piece_files(Path(folder), f"points.{suffix}", pieces), pieces,
                            strict=True):  # fmt: skip
         points = result.points(_frames_to_fuse(result, piece))
         if len(points):
             save_points(points, file)
-            written.append(file)
-    if not written:
+            written_files.append(file)
+    if not written_files:
         raise InputError(
             f"{result.folder} gives no points, because it has too little depth or none: "
             "reconstruct with --depth-of all, from frames with more parallax"
         )
-    return written
+    return written_files
 
 
 def write_meshes(
@@ -108,20 +108,20 @@ def write_meshes(
     >>> [str(file) for file in write_meshes(tisfm.Reconstruction.load("walk"), ".")]
     ['mesh.ply']
     """
-    pieces = pieces_of(result, frames)
-    written = []
+    pieces = piece_frames(result, frames)
+    written_files = []
     for file, piece in zip(piece_files(Path(folder), f"mesh.{suffix}", pieces), pieces,
                            strict=True):  # fmt: skip
         mesh = result.mesh(_frames_to_fuse(result, piece))
         if len(mesh.faces):
             mesh.save(file)
-            written.append(file)
-    if not written:
+            written_files.append(file)
+    if not written_files:
         raise InputError(
             f"{result.folder} gives no surface, because it has too little depth or none: "
             "reconstruct with --depth-of all, from frames with more parallax"
         )
-    return written
+    return written_files
 
 
 def save_points(points: PointCloud, path: str | os.PathLike[str]) -> None:
@@ -136,10 +136,10 @@ def save_points(points: PointCloud, path: str | os.PathLike[str]) -> None:
         points.save(path)
         return
     if suffix != ".glb" or not len(points):
-        what = (
+        reason = (
             "a GLB file needs at least one point" if suffix == ".glb" else "expected .ply or .glb"
         )
-        raise InputError(f"path is {os.fspath(path)}: {what}")
+        raise InputError(f"path is {os.fspath(path)}: {reason}")
     content = glb_points(points.positions * np.array([1, -1, -1], np.float32), points.colors)
     with atomic_write(path) as file:
         file.write(content)

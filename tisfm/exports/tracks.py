@@ -8,12 +8,10 @@ import numpy as np
 from tisfm.checks import Floats
 from tisfm.errors import InputError
 from tisfm.exports.observations import ObservedPoints, PieceFrames
-from tisfm.exports.point_tracks import DepthTracks, tracks_along_flow
+from tisfm.exports.point_tracks import DepthTracks, track_along_flow
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
-CELLS_PER_SIDE = (
-    80  # along the longer side: each cell without a point gets a new group; set by hand
-)
+CELLS_PER_SIDE = 80  # along the longer side: a cell without a point gets a new one; set by hand
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,7 +32,7 @@ class Tracks:
         return len(self.positions)
 
 
-def measured_tracks(
+def measure_tracks(
     result: Reconstruction,
     piece: int,
     *,
@@ -43,13 +41,13 @@ def measured_tracks(
     # called with the number of finished frames and of all frames
     progress: Callable[[int, int], None] | None = None,
 ) -> Tracks:
-    """Return tracks of corners through the frames of a piece.
+    """Measure tracks of corners through the frames of a piece.
 
     A point begins in a keyframe, at a corner of known depth. Depth and poses predict its position
     in other frames, where it is measured in the images. A point is kept if three frames or more
     agree on one point in space, within 1.5 px in each frame. Moving objects and masked pixels
     have no points. Without any depth, points are tracked from frame to frame along the image
-    motion, by the tracker of the reconstruction.
+    motion, with the tracker of the reconstruction.
 
     Raises ValueError if the piece does not exist, or the spacing is not positive.
 
@@ -59,12 +57,12 @@ def measured_tracks(
     if not 0 <= piece < len(result.unit):
         raise InputError(f"piece is {piece}: expected 0 to {len(result.unit) - 1}")
     report_progress = progress or _ignore_progress
-    frames, cells = PieceFrames(result, piece), cells_of(result.shape, spacing)
+    frames, cells = PieceFrames(result, piece), count_cells(result.shape, spacing)
     if not any(map(frames.has_depth, frames.numbers)):
-        return _join_groups(tracks_along_flow(frames, cells, report_progress))
+        return _join_groups(track_along_flow(frames, cells, report_progress))
     groups = DepthTracks(frames, cells).find(report_progress)
     if not any(len(group.positions) for group in groups):  # no point was found by depth
-        groups = tracks_along_flow(frames, cells, _ignore_progress)  # progress was already reported
+        groups = track_along_flow(frames, cells, _ignore_progress)  # progress was already reported
     return _join_groups(groups)
 
 
@@ -72,7 +70,7 @@ def _ignore_progress(done: int, count: int) -> None:
     """Ignore progress."""
 
 
-def cells_of(shape: tuple[int, int], spacing: float | None) -> int:
+def count_cells(shape: tuple[int, int], spacing: float | None) -> int:
     """Return the number of cells along the longer side of the frames.
 
     Raises ValueError if the spacing is not a positive number of px.

@@ -4,7 +4,7 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
-from tisfm.exports.export_request import frame_times, piece_files, pieces_of
+from tisfm.exports.export_request import frame_times, piece_files, piece_frames
 from tisfm.formats import atomic_write
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.trajectory import write_kitti, write_tum
@@ -55,7 +55,7 @@ def write_tum_paths(
     >>> [str(file) for file in write_tum_paths(tisfm.Reconstruction.load("walk"), ".")]
     ['trajectory.tum']
     """
-    pieces = pieces_of(result, frames)
+    pieces = piece_frames(result, frames)
     times = frame_times(result.times, frames_per_second)
     files = piece_files(Path(folder), TUM, pieces)
     for file, piece in zip(files, pieces, strict=True):
@@ -98,7 +98,7 @@ def write_kitti_paths(
     >>> [str(file) for file in write_kitti_paths(tisfm.Reconstruction.load("walk"), ".")]
     ['poses.kitti', 'poses.times']
     """
-    pieces = pieces_of(result, frames)
+    pieces = piece_frames(result, frames)
     times = frame_times(result.times, frames_per_second)
     pose_files = piece_files(Path(folder), KITTI, pieces)
     times_files = piece_files(Path(folder), KITTI_TIMES, pieces)

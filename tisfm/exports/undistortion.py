@@ -92,20 +92,20 @@ def st_maps(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return both maps as `write_undistortion` describes them, (H, W, 3) float32."""
     height, width = shape
-    forward = Undistortion(camera, height, width)
+    undistortion = Undistortion(camera, height, width)
     x, y = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
     distorted_points = distort_points(camera, shape, np.stack([x, y], axis=-1))
     undistorted_points = undistort_points(camera, shape, np.stack([x, y], axis=-1))
     round_trip = distort_points(camera, shape, undistorted_points)
     is_accurate = np.hypot(round_trip[..., 0] - x, round_trip[..., 1] - y) < _MAX_ROUND_TRIP_ERROR
-    is_valid = is_accurate & _inside(undistorted_points, shape)
+    is_valid = is_accurate & _are_inside(undistorted_points, shape)
     column, row = (
         np.rint(undistorted_points[..., k]).clip(0, end - 1)
         for k, end in enumerate((width, height))
     )
     column, row = (np.where(is_valid, st_map, 0).astype(int) for st_map in (column, row))
-    is_valid &= forward.valid[row, column]
-    return _st_map(distorted_points, forward.valid, shape), _st_map(
+    is_valid &= undistortion.valid[row, column]
+    return _st_map(distorted_points, undistortion.valid, shape), _st_map(
         undistorted_points, is_valid, shape
     )
 
@@ -114,11 +114,11 @@ def distort_points(
     camera: Camera, shape: tuple[int, int], points: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return the positions in the frame of points of the undistorted picture, (…, 2) px."""
-    distorting, pinhole = _matrices(camera, shape)
-    rays = (points.reshape(-1, 2) - pinhole[:2, 2]) / pinhole[[0, 1], [0, 1]]
+    frame_matrix, pinhole_matrix = _matrices(camera, shape)
+    rays = (points.reshape(-1, 2) - pinhole_matrix[:2, 2]) / pinhole_matrix[[0, 1], [0, 1]]
     rays_3d = np.column_stack([rays, np.ones(len(rays))])
     positions, _ = cv2.projectPoints(
-        rays_3d, np.zeros(3), np.zeros(3), distorting, _coefficients(camera)
+        rays_3d, np.zeros(3), np.zeros(3), frame_matrix, _coefficients(camera)
     )
     return np.asarray(positions, float).reshape(points.shape)
 
@@ -127,12 +127,12 @@ def undistort_points(
     camera: Camera, shape: tuple[int, int], points: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return the positions in the undistorted picture of points of the frame, (…, 2) px."""
-    distorting, pinhole = _matrices(camera, shape)
+    frame_matrix, pinhole_matrix = _matrices(camera, shape)
     positions = cv2.undistortPoints(
         points.reshape(-1, 1, 2),
-        distorting,
+        frame_matrix,
         _coefficients(camera),
-        P=pinhole,
+        P=pinhole_matrix,
         criteria=_UNDISTORT_CRITERIA,
     )
     return np.nan_to_num(np.asarray(positions, float).reshape(points.shape), nan=_OUTSIDE * 1e9)
@@ -143,18 +143,18 @@ def _matrices(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the intrinsics of the frame and of the undistorted picture, (3, 3)."""
     cx, cy = camera.center_for(*shape)
-    distorting, pinhole = (
+    frame_matrix, pinhole_matrix = (
         np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
         for fx, fy in (camera.focals, camera.pinhole().focals)
     )
-    return distorting, pinhole
+    return frame_matrix, pinhole_matrix
 
 
 def _coefficients(camera: Camera) -> NDArray[np.float64]:
     return np.array(camera.distortion or (0.0,) * 4)
 
 
-def _inside(points: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.bool_]:
+def _are_inside(points: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.bool_]:
     height, width = shape
     column, row = points[..., 0], points[..., 1]
     return np.asarray(

@@ -46,7 +46,7 @@ class VideoWriter:
     Attributes
     ----------
     frames : int
-        Number of frames so far.
+        Number of frames that were added.
     """
 
     def __init__(self, container: "OutputContainer", frames_per_second: float) -> None:
@@ -70,8 +70,8 @@ class VideoWriter:
                 "video must have the same size"
             )
         height, width = picture.shape[:2]
-        even = cv2.copyMakeBorder(picture, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE)
-        pixels = np.ascontiguousarray(even, np.uint8)
+        padded = cv2.copyMakeBorder(picture, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE)
+        pixels = np.ascontiguousarray(padded, np.uint8)
         frame = VideoFrame.from_ndarray(pixels, format="rgb24")
         frame = frame.reformat(
             format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG",

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.errors import InputError
-from tisfm.exports.export_request import chosen_frames, frame_rate
+from tisfm.exports.export_request import frame_rate, select_frames
 from tisfm.exports.frame_maps import frames_with_depth, inverse_depth_ranges, speed_range
 from tisfm.exports.video_file import check_video, video_file
 from tisfm.results.result_frames import ResultFrames
@@ -94,7 +94,7 @@ def write_video(
         raise InputError(
             "screen_depth is a depth, and each pair has a unit of its own: give screen, a quantile"
         )
-    numbers = chosen_frames(chosen, len(frames))
+    numbers = select_frames(chosen, len(frames))
     if kind != "flow":
         numbers = frames_with_depth(frames, numbers)
     rate = frame_rate(frames.times, numbers, frames_per_second)
@@ -135,15 +135,15 @@ def _draw_function(
         )
     ranges = inverse_depth_ranges(frames, numbers)
 
-    def colors(frame: int) -> Picture:
+    def draw_depth(frame: int) -> Picture:
         group, scale = frames.scale(frame)
         return depth_to_color(frames.inverse_depth(frame), limit=ranges[group] * scale)
 
     if kind == "depth":
-        return lambda position, frame: colors(frame)
+        return lambda position, frame: draw_depth(frame)
     if kind == "side-by-side":
-        return lambda position, frame: np.hstack([as_rgb(frames.picture(frame)), colors(frame)])
-    planes = {} if screen is None else inverse_depth_ranges(frames, numbers, 100 * screen)
+        return lambda position, frame: np.hstack([as_rgb(frames.picture(frame)), draw_depth(frame)])
+    screen_ranges = {} if screen is None else inverse_depth_ranges(frames, numbers, 100 * screen)
 
     def planes_of(frame: int) -> tuple[float, float | None]:
         """Return the inverse depth of the nearest point, and the depth of the screen."""
@@ -151,10 +151,10 @@ def _draw_function(
         nearest = ranges[group] * scale
         if screen is None:
             return nearest, screen_depth
-        plane = planes[group] * scale
+        plane = screen_ranges[group] * scale
         return nearest, 1 / plane if plane > 0 else math.inf
 
-    def red_cyan(frame: int) -> Picture:
+    def draw_anaglyph(frame: int) -> Picture:
         nearest, plane = planes_of(frame)
         return anaglyph(
             frames.picture(frame),
@@ -164,7 +164,7 @@ def _draw_function(
             limit=nearest,
         )
 
-    def swing(position: int, frame: int) -> Picture:
+    def draw_swing(position: int, frame: int) -> Picture:
         nearest, plane = planes_of(frame)
         view = stereo_view(
             frames.picture(frame),
@@ -176,4 +176,4 @@ def _draw_function(
         )
         return as_rgb(view)
 
-    return swing if kind == "wiggle" else lambda position, frame: red_cyan(frame)
+    return draw_swing if kind == "wiggle" else lambda position, frame: draw_anaglyph(frame)

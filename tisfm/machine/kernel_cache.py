@@ -1,6 +1,6 @@
 """The folder in which Taichi keeps compiled kernels.
 
-Taichi locks that folder by a file. If a process is killed while it holds the lock, the file stays:
+Taichi locks this folder by a file. If a process is killed while it holds the lock, the file stays:
 Taichi would neither read nor write there any more, and every process would compile all kernels.
 """
 
@@ -12,11 +12,11 @@ import time
 from pathlib import Path
 from typing import Any
 
-LOCK, _LIST = "ticache.lock", "ticache.tcb"
+LOCK, _LIST = "ticache.lock", "ticache.tcb"  # Taichi's names of the lock and of the list
 # s: a lock file this old is left over, as the list of kernels is locked for less than 1 s.
 STALE_LOCK_AGE = 120.0
 _TURN_FILE = "tisfm.turn"  # locked by the process that writes kernels
-_MAX_LOCK_WAIT = 5.0  # s, for that lock; set by hand
+_MAX_LOCK_WAIT = 5.0  # s, for the lock of `_TURN_FILE`; set by hand
 _LOCK_RETRY_INTERVAL = 0.02  # s, between attempts to lock it; set by hand
 
 
@@ -46,7 +46,7 @@ def _take_turn(folder: Path) -> None:
     """Wait until no other process writes kernels, which each does when it ends.
 
     Taichi itself waits only briefly for its lock: of workers that end together, all but one would
-    complain and lose their kernels. The file stays locked until this process has ended, after
+    print an error and lose their kernels. The file stays locked until this process has ended, after
     Taichi has written.
     """
     try:
@@ -82,18 +82,18 @@ def remove_stale_lock(
     Under its lock, Taichi writes kernels and then the list of all. It never rewrites a kernel that
     exists or is listed; it makes an incomplete list anew.
 
-    Raises OSError if files cannot be looked at or removed.
+    Raises OSError if files cannot be read or removed.
     """
     lock = folder / LOCK
     try:
-        made = lock.stat().st_mtime
+        lock_time = lock.stat().st_mtime
     except FileNotFoundError:
         return
-    if time.time() - made < STALE_LOCK_AGE:
+    if time.time() - lock_time < STALE_LOCK_AGE:
         return
-    listed = folder / _LIST
-    if not listed.exists() or listed.stat().st_mtime < made:
+    list_file = folder / _LIST
+    if not list_file.exists() or list_file.stat().st_mtime < lock_time:
         for kernel in folder.glob("T*.tic"):
-            if kernel.stat().st_mtime >= made:
+            if kernel.stat().st_mtime >= lock_time:
                 kernel.unlink(missing_ok=True)
     lock.unlink(missing_ok=True)

@@ -14,15 +14,20 @@ from pathlib import Path
 
 from tisfm.errors import OutOfMemoryError
 
-_SIGNS = ("cannot allocate memory", "failed to map segment", "can't start new thread", "bad_alloc")
-_OPENCV = 0.28e9  # that NumPy and OpenCV reserve with one thread each, bytes; measured
-_OPENCV_THREADS = 0.19e9  # more that they reserve with several threads, bytes; measured
-_SCIPY = 0.28e9  # that SciPy and the other libraries reserve, bytes; measured
-_STACK = 8 << 20  # of a thread, bytes, as most systems have it
-_ARENA = 64 << 20  # that the C library reserves for a thread's allocations, bytes
+_OUT_OF_MEMORY_TEXTS = (
+    "cannot allocate memory",
+    "failed to map segment",
+    "can't start new thread",
+    "bad_alloc",
+)
+_OPENCV_BYTES = 0.28e9  # bytes that NumPy and OpenCV reserve with one thread each; measured
+_OPENCV_THREAD_BYTES = 0.19e9  # further bytes that they reserve with several threads; measured
+_SCIPY_BYTES = 0.28e9  # bytes that SciPy and the other libraries reserve; measured
+_STACK_BYTES = 8 << 20  # bytes of a thread's stack, on most systems
+_ARENA_BYTES = 64 << 20  # bytes that the C library reserves for a thread's allocations
 
 
-def limit() -> int | None:
+def address_space_limit() -> int | None:
     """Return the limit of this process, bytes; None where there is none."""
     try:
         import resource
@@ -32,7 +37,7 @@ def limit() -> int | None:
     return None if soft == resource.RLIM_INFINITY else soft
 
 
-def require(
+def require_address_space(
     amount: float,  # address space that is reserved, bytes
     purpose: str,  # the purpose, for the message
 ) -> None:
@@ -40,12 +45,12 @@ def require(
 
     Raises OutOfMemoryError if less is left.
     """
-    bound = limit()
+    bound = address_space_limit()
     if bound is None:
         return
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-    except OSError:  # not Linux: other systems hardly enforce that limit
+    except OSError:  # not Linux: other systems hardly enforce the limit
         return
     available = bound - pages * os.sysconf("SC_PAGE_SIZE")
     if available < amount:
@@ -63,50 +68,51 @@ def import_libraries() -> None:
     SciPy would hang.
     """
     threads = os.environ.get("OPENBLAS_NUM_THREADS") or str(os.cpu_count())
-    several = _OPENCV_THREADS if threads != "1" else 0.0
-    require(_OPENCV + several, "loading the libraries")
+    bytes_of_threads = _OPENCV_THREAD_BYTES if threads != "1" else 0.0
+    require_address_space(_OPENCV_BYTES + bytes_of_threads, "loading the libraries")
     import cv2  # noqa: F401
 
-    require(_SCIPY, "loading the libraries")
+    require_address_space(_SCIPY_BYTES, "loading the libraries")
 
 
 def require_for_taichi(threads: int) -> None:
     """Check that the limit leaves the address space that Taichi reserves when it starts.
 
-    Measured with version 1.7.4: 1 GiB at once, the libraries, and of each thread, four that
-    compile included, its stack and its arena.
+    Taichi 1.7.4 reserves 1 GiB, the libraries, and a stack and an arena for each thread, with four
+    more threads that compile; measured.
 
     Raises OutOfMemoryError if less is left.
     """
-    each = _STACK + _ARENA
+    bytes_per_thread = _STACK_BYTES + _ARENA_BYTES
     plural = "s" * (threads > 1)
-    require(1.2 * (1 << 30) + (threads + 4) * each, f"Taichi with {threads} thread{plural}")
+    require_address_space(
+        1.2 * (1 << 30) + (threads + 4) * bytes_per_thread, f"Taichi with {threads} thread{plural}"
+    )
 
 
-def ran_out(error: BaseException | None) -> bool:
+def is_out_of_memory(error: BaseException | None) -> bool:
     """Return whether an error of a library means that the address space did not suffice."""
-    while error is not None and limit() is not None:
-        if any(sign in str(error).lower() for sign in _SIGNS):
+    while error is not None and address_space_limit() is not None:
+        if any(text in str(error).lower() for text in _OUT_OF_MEMORY_TEXTS):
             return True
         error = error.__cause__ or error.__context__
     return False
 
 
-def advice() -> str:
+def out_of_memory_message() -> str:
     """Return the message for memory that does not suffice, if there is no better one."""
-    bound = limit()
-    raised = "" if bound is None else f", or raise the limit of {_gb(bound)} (ulimit -v)"
-    return f"not enough memory: give smaller frames{raised}"
+    bound = address_space_limit()
+    limit_advice = "" if bound is None else f", or raise the limit of {_gb(bound)} (ulimit -v)"
+    return f"not enough memory: give smaller frames{limit_advice}"
 
 
 def _gb(count: float) -> str:
     return f"{count / 1e9:.3g} GB"
 
 
-_TRIM, _MMAP = -1, -3  # parameters of mallopt (malloc.h)
-
-
-_ARRAY = 32 << 20  # the largest that is not mapped on its own, bytes: the most that glibc takes
+_TRIM_PARAMETER, _MMAP_PARAMETER = -1, -3  # parameters of mallopt (malloc.h)
+# bytes: arrays up to this size are not mapped on their own; the limit of glibc
+_MAX_HEAP_BYTES = 32 << 20
 
 
 def keep_freed_memory() -> None:
@@ -115,10 +121,11 @@ def keep_freed_memory() -> None:
     This changes thresholds of glibc only if the environment sets a small one.
     """
     try:
-        asked = int(os.environ["MALLOC_TRIM_THRESHOLD_"])
+        trim_threshold = int(os.environ["MALLOC_TRIM_THRESHOLD_"])
         mallopt = ctypes.CDLL(None).mallopt
     except (KeyError, ValueError, AttributeError, OSError, TypeError):
         return
-    if 0 <= asked < 2 * _ARRAY:
-        mallopt(_MMAP, _ARRAY)  # what glibc comes to by itself, with arrays of this size
-        mallopt(_TRIM, 2 * _ARRAY)
+    if 0 <= trim_threshold < 2 * _MAX_HEAP_BYTES:
+        # as glibc sets both thresholds by itself after arrays of this size
+        mallopt(_MMAP_PARAMETER, _MAX_HEAP_BYTES)
+        mallopt(_TRIM_PARAMETER, 2 * _MAX_HEAP_BYTES)

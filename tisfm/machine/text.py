@@ -40,5 +40,5 @@ def printable(text: str) -> str:
     >>> print(printable("a\x1b[31mb.png"))
     a\x1b[31mb.png
     """
-    whole = text.encode("utf-8", "replace").decode("utf-8")
-    return _COMMANDS.sub(lambda found: found[0].encode("unicode_escape").decode(), whole)
+    valid_text = text.encode("utf-8", "replace").decode("utf-8")
+    return _COMMANDS.sub(lambda match: match[0].encode("unicode_escape").decode(), valid_text)

@@ -10,7 +10,7 @@ import sys
 from dataclasses import dataclass
 
 _SUCCESS = 0
-_INCOMPLETE = 5  # a driver found more devices than it was asked for
+_INCOMPLETE = 5  # there are more devices than the array has elements
 _INSTANCE_CREATE_INFO = 1  # VK_STRUCTURE_TYPE_INSTANCE_CREATE_INFO
 _TYPE_SCORES = {1: 500, 2: 1000}  # of integrated and discrete GPUs, as Taichi ranks devices
 _CPU_DEVICE_TYPE = 4  # VK_PHYSICAL_DEVICE_TYPE_CPU

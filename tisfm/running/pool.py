@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from tisfm.errors import InputError, MissingPackageError, OutOfMemoryError, RunError, TisfmError
-from tisfm.machine.memory import advice
+from tisfm.machine.memory import out_of_memory_message
 from tisfm.version import __version__
 
 T = TypeVar("T")
@@ -217,5 +217,5 @@ def check_worker(
 def sendable_error(error: Exception) -> Exception:
     """Return an error of a worker in the form that is sent to the parent process."""
     if isinstance(error, MemoryError) and not isinstance(error, TisfmError):
-        return OutOfMemoryError(advice())
+        return OutOfMemoryError(out_of_memory_message())
     return error.with_traceback(None)
