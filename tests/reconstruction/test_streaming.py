@@ -155,7 +155,7 @@ def test_result_is_the_same_if_the_caller_overwrites_its_frames(streamed, disk):
 
 def test_poses_of_yielded_frames_stay(monkeypatch):
     film = swing()
-    path = SlidingPath(film.camera, limit=0.3)
+    path = SlidingPath(film.camera, max_deviation=0.3)
     for image in film.frames[:10]:
         path.add(image)
     before = path.solve().pieces[0]
@@ -195,11 +195,11 @@ def test_memory_disk_and_masks(disk, monkeypatch):
     for frame in running.frames():
         path = running._path
         found.append(frame)
-        seen.append(len(path.seen.frames()))
+        seen.append(len(path.observations.frames()))
         views.append(len(path._views.views))
         files.append(sum(item.is_file() for item in disk.rglob("*")))
         points.append(sum(len(poses) for poses in path._fixed.values()))
-        assert min(one.points[:, 0].min() for one in path.seen) > 39
+        assert min(one.points[:, 0].min() for one in path.observations) > 39
     assert [frame.index for frame in found] == list(range(0, 2 * COUNT, 2))
     assert path_error(poses_of(found), film.poses) < 0.04
     # Frames before the delay are kept for comparison; one keyframe may be older.

@@ -1,4 +1,4 @@
-"""A cache on disk for arrays of every frame, so that memory does not grow with a sequence."""
+"""A cache on disk for arrays of every frame: memory does not grow with the length of a sequence."""
 
 import contextlib
 import errno
@@ -11,7 +11,8 @@ from typing import IO, Generic, TypeVar
 import numpy as np
 
 T = TypeVar("T")
-_DISK_FULL = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
+# Error numbers of a full disk, or of a full quota where the system has quotas
+DISK_FULL_ERRORS = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
 
 
 class DiskCache(Sequence[T], Generic[T]):
@@ -23,13 +24,13 @@ class DiskCache(Sequence[T], Generic[T]):
     def __init__(
         self,
         to_arrays: Callable[[T], tuple[np.ndarray, ...]],  # returns the arrays of an item
-        from_arrays: Callable[..., T],  # returns the item for such arrays
+        from_arrays: Callable[..., T],  # returns the item with these arrays
     ) -> None:
         self._to_arrays, self._from_arrays = to_arrays, from_arrays
         self._file = tempfile.TemporaryFile(prefix="tisfm-")  # noqa: SIM115
         weakref.finalize(self, _close, self._file)
         self._file_size = 0
-        # For each item: its offset in the file, bytes, and the dtype and shape of each array.
+        # For each item: its offset in the file in bytes, and the dtype and shape of each array
         self._items: list[tuple[int, tuple[tuple[str, tuple[int, ...]], ...]]] = []
 
     def append(self, item: T) -> None:
@@ -45,7 +46,7 @@ class DiskCache(Sequence[T], Generic[T]):
             self._file.flush()
         except OSError as error:  # for example, the disk is full
             # Another folder does not help against a limit on the size of files (ulimit -f).
-            advice = "; set TMPDIR to another folder" if error.errno in _DISK_FULL else ""
+            advice = "; set TMPDIR to another folder" if error.errno in DISK_FULL_ERRORS else ""
             raise OSError(
                 f"cannot write a temporary file in {tempfile.gettempdir()}: "
                 f"{error.strerror}{advice}"
@@ -63,8 +64,8 @@ class DiskCache(Sequence[T], Generic[T]):
         arrays = []
         for dtype, shape in layouts:
             size = np.dtype(dtype).itemsize * math.prod(shape)
-            content = bytearray(self._file.read(size))  # a bytearray makes the arrays writable
-            arrays.append(np.frombuffer(content, dtype).reshape(shape))
+            buffer = bytearray(self._file.read(size))  # a bytearray makes the arrays writable
+            arrays.append(np.frombuffer(buffer, dtype).reshape(shape))
         return self._from_arrays(*arrays)
 
     def __iter__(self) -> Iterator[T]:

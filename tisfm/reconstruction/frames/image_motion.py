@@ -1,4 +1,4 @@
-"""Image motion between frames, computed at a reduced size, and chains over several frames."""
+"""Image motion between neighbouring frames, computed at a reduced size, and chained over frames."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import coarse_to_fine
 from tisfm.solver.image_pyramid import ImagePyramid
 
-# Flow pairs in memory: more than the longest chain has steps.
+# Number of flow pairs in memory: more than the longest chain of flows has steps. Set by hand.
 CACHED_PAIRS = 20
 # Settings of the image motion that tracks follow.
 TRACKING_SETTINGS = Settings.preset("fast")
@@ -29,12 +29,13 @@ def find_flow(
     camera: Camera,  # pinhole camera of the frames
     settings: Settings,
     *,
-    # whether to search for objects that move far in relation to their size
+    # whether to search for objects whose motion is large compared with their size
     search_fast_objects: bool = False,
 ) -> np.ndarray:
     """Return the image motion between two frames of `shrink_for_flow`.
 
-    Returns (h, w, 2) float32, px of the shrunk frames; limited to the sum of their sides.
+    Returns (h, w, 2) float32, px of the shrunk frames. Components are limited to the sum of the
+    sides of a frame.
     """
     small_camera = Camera(focal=camera.focal * scale)
     pyramid = ImagePyramid(
@@ -45,16 +46,18 @@ def find_flow(
         presmoothing=settings.presmoothing,
     )
     problem = flow_problem(settings, small_camera.focal)
-    amendment = flow_proposals(pyramid, problem) if search_fast_objects else None
-    solution = coarse_to_fine(pyramid, problem, level_change=amendment)
-    flow, limit = solution.unknowns.flow(), float(sum(small0.shape))
-    if not (flow.min() >= -limit and flow.max() <= limit):  # it diverged, perhaps to NaN
-        flow = np.nan_to_num(flow, nan=limit).clip(-limit, limit)
+    proposals = flow_proposals(pyramid, problem) if search_fast_objects else None
+    solution = coarse_to_fine(pyramid, problem, level_change=proposals)
+    flow, max_motion = solution.unknowns.flow(), float(sum(small0.shape))
+    if not (
+        flow.min() >= -max_motion and flow.max() <= max_motion
+    ):  # the solver diverged, perhaps to NaN
+        flow = np.nan_to_num(flow, nan=max_motion).clip(-max_motion, max_motion)
     return cv2.merge(list(flow))
 
 
 def shrink_for_flow(grey: np.ndarray) -> np.ndarray:
-    """Return a frame as float32, halved while it keeps `FRAME_FLOW.min_pixels`."""
+    """Return a frame as float32, halved as long as it has at least `FRAME_FLOW.min_pixels`."""
     small: np.ndarray = grey.astype(np.float32)
     while small.size >= 4 * FRAME_FLOW.min_pixels:
         height, width = small.shape
@@ -65,12 +68,12 @@ def shrink_for_flow(grey: np.ndarray) -> np.ndarray:
 
 
 def flow_scale(small: np.ndarray, grey: np.ndarray) -> float:
-    """Return the scale of a frame from `shrink_for_flow`, in its px per px of the full frame."""
+    """Return the scale of a frame from `shrink_for_flow`: its px per px of the full frame."""
     return float(2.0 ** np.rint(np.log2(small.shape[1] / grey.shape[1])))
 
 
 class FlowCache:
-    """Image motion from the previous frame to each frame, computed once, stored with 11 bits."""
+    """Image motion from the previous frame to each frame, computed once and stored in float16."""
 
     def __init__(
         self,
@@ -110,7 +113,7 @@ class FlowPair:
         return cls(forward=forward.astype(np.float32), backward=backward.astype(np.float32))
 
     def to_arrays(self) -> tuple[np.ndarray, ...]:
-        """Return the arrays, with 11 significant bits."""
+        """Return the arrays in float16, with 11 significant bits."""
         return self.forward.astype(np.float16), self.backward.astype(np.float16)
 
 
@@ -120,15 +123,14 @@ class ChainedFlow:
 
     frame: int  # the other frame
     steps: int  # number of frame intervals between the two frames
-    positions: (
-        np.ndarray
-    )  # (H, W, 2) float32: position (x, y) of every pixel in the other frame, px
+    # (H, W, 2) float32: position (x, y) of every pixel in the other frame, px
+    positions: np.ndarray
     # (H, W) bool: whether forward and backward motion agree at every step of the chain
     valid: np.ndarray
 
 
 class ImageMotion:
-    """Image motion of a sequence, frame by frame; large frames are shrunk."""
+    """Image motion of a sequence between neighbouring frames; large frames are shrunk."""
 
     def __init__(
         self,
@@ -139,8 +141,8 @@ class ImageMotion:
         self._frames = DiskCache(lambda grey: (grey,), lambda grey: grey)
         self._pairs = DiskCache(FlowPair.to_arrays, FlowPair.from_arrays)
         self._cached_pairs: dict[int, tuple[FlowPair, np.ndarray, np.ndarray]] = {}
-        self._shape = (0, 0)  # of the sequence's frames
-        self.scale = 1.0  # of the shrunk frames, px per px of the sequence's frames
+        self._shape = (0, 0)  # height and width of the sequence's frames, px
+        self.scale = 1.0  # px of the shrunk frames per px of the sequence's frames
 
     def add(self, grey: np.ndarray) -> None:
         """Add the next frame, (H, W) uint8."""
@@ -167,15 +169,15 @@ class ImageMotion:
         return (frame_camera or self._camera).scaled(self.scale, *self._shape)
 
     def forward(self, frame: int) -> np.ndarray:
-        """Return the motion from a frame to the next, (H, W, 2) float32."""
+        """Return the motion from a frame to the next frame, (H, W, 2) float32."""
         return self._pair(frame)[0].forward
 
     def backward(self, frame: int) -> np.ndarray:
-        """Return the motion from a frame to the previous one, (H, W, 2) float32."""
+        """Return the motion from a frame to the previous frame, (H, W, 2) float32."""
         return self._pair(frame - 1)[0].backward
 
     def chained_flows(self, frame: int, max_steps: int) -> Iterator[ChainedFlow]:
-        """Yield chains to later frames, at most `max_steps` frames away, then to earlier frames."""
+        """Yield flows to later frames, at most `max_steps` frames away, then to earlier frames."""
         start = pixel_grid(self.grey(frame).shape)
         for direction in (1, -1):
             positions, valid, current = start, np.ones(start.shape[:2], bool), frame
@@ -194,12 +196,12 @@ class ImageMotion:
                 yield ChainedFlow(frame=current, steps=steps, positions=positions, valid=valid)
 
     def chained_flow(self, frame: int, other: int) -> ChainedFlow:
-        """Return the chain from a frame to another one."""
+        """Return the chained flow from a frame to another frame."""
         chains = self.chained_flows(frame, abs(other - frame))
         return next(chain for chain in chains if chain.frame == other)
 
     def _pair(self, frame: int) -> tuple[FlowPair, np.ndarray, np.ndarray]:
-        """Return the flow pair from a frame to the next, and the consistency mask of each."""
+        """Return the flow pair from a frame to the next, and the consistency mask of each flow."""
         if frame not in self._cached_pairs:
             while len(self._cached_pairs) >= CACHED_PAIRS:
                 self._cached_pairs.pop(next(iter(self._cached_pairs)))
@@ -221,12 +223,12 @@ def consistency_mask(flow: np.ndarray, reverse_flow: np.ndarray) -> np.ndarray:
     """Return 1 where the reverse flow leads back near the start, else 0, (H, W) float32."""
     height, width = flow.shape[:2]
     positions = pixel_grid((height, width)) + flow
-    error = vector_lengths(flow + sample_image(reverse_flow, positions))
-    allowed = FRAME_FLOW.max_relative_return_error * vector_lengths(flow)
-    consistent = error < FRAME_FLOW.max_return_error + allowed
+    return_error = vector_lengths(flow + sample_image(reverse_flow, positions))
+    relative_bound = FRAME_FLOW.max_relative_return_error * vector_lengths(flow)
+    is_consistent = return_error < FRAME_FLOW.max_return_error + relative_bound
     x, y = cv2.split(positions)
-    inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
-    return np.float32(consistent & inside)
+    is_inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
+    return np.float32(is_consistent & is_inside)
 
 
 def vector_lengths(vectors: np.ndarray) -> np.ndarray:

@@ -23,26 +23,28 @@ from tisfm.sources.frame_reader import SourceFrame
 if TYPE_CHECKING:
     from tisfm.reconstruction.frames.image_motion import FlowCache
 
-JPEG_QUALITY = 95  # of the JPEG pictures, from which colours are read
-CACHED_FRAMES = 24  # frames in memory at a time
+JPEG_QUALITY = 95  # from 0 to 100: colours are read from these pictures; set by hand
+CACHED_FRAMES = 24  # number of frames in memory at a time; set by hand
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrameState:
     """The state of a stored frame."""
 
-    is_masked: bool = False  # it has ignored pixels
-    is_labelled: bool = False  # it shows a moving object
-    # Its correction may be replaced, so its uncorrected files are stored as well.
+    is_masked: bool = False  # whether the frame has ignored pixels
+    is_labelled: bool = False  # whether the frame shows a moving object
+    # Whether the correction of the frame may be replaced. Then its uncorrected files are stored
+    # too.
     is_provisional: bool = False
 
 
 class PreparedFrames:
     """The frames of a sequence: read from the source once, and later from a folder.
 
-    `add` stores a frame without the distortion that its camera states. Corrections that are
-    estimated later rewrite stored frames: `correct` for good, `correct_provisionally` until
-    `finalise_corrections`. Both resample labels too. `set_labels` is possible at any time.
+    `add` stores a frame without the distortion of its camera. Corrections that are estimated later
+    rewrite stored frames. `correct` is final. `correct_provisionally` can be undone until
+    `finalise_corrections` is called. Both resample labels too. `set_labels` is possible at any
+    time.
     """
 
     def __init__(
@@ -61,7 +63,7 @@ class PreparedFrames:
         self._source_camera, self._cache, self._pictures = camera, cache, pictures
         self._cached_frames: dict[int, np.ndarray] = {}
         self._states: dict[int, FrameState] = {}
-        self._flow: FlowCache | None = None
+        self._flow_cache: FlowCache | None = None
 
     def add(self, frame: SourceFrame) -> tuple[np.ndarray, np.ndarray | None]:
         """Prepare and store a frame; return it in the form for the tracker.
@@ -86,8 +88,8 @@ class PreparedFrames:
                 ignored = self._lens.apply_nearest(ignored.astype(np.float32)) > 0
             if labels is not None and not self._are_labels_prepared:
                 labels = _resample_labels(labels, self._lens)
-            outside = ~self._lens.valid
-            ignored = outside if ignored is None else ignored | outside
+            is_outside = ~self._lens.valid
+            ignored = is_outside if ignored is None else ignored | is_outside
         self.shape = grey.shape
         levels = np.rint(grey).clip(0, 255).astype(np.uint8)
         write_npy(self._grey_path(number), levels if (levels == grey).all() else grey)
@@ -122,7 +124,7 @@ class PreparedFrames:
     def correct_provisionally(self, rolling: RollingShutterMotion | None) -> None:
         """Remove the readout effect of a first estimate; provisional corrections are undone first.
 
-        With None, they are undone only. The readout time of `camera` stays.
+        With None, nothing more is done. The readout time of `camera` stays.
         """
         for number in self.provisional_frames():
             for path in self._paths(number):
@@ -156,22 +158,22 @@ class PreparedFrames:
     def flow(self, number: int) -> np.ndarray | None:
         """Return the image motion from the previous frame to a frame; None for the first frame.
 
-        It is computed once (`FlowCache.flow_to`), and again after frames were corrected.
+        The motion is computed once (`FlowCache.flow_to`), and again after frames were corrected.
         """
         if number == 0:
             return None
-        if self._flow is None:
+        if self._flow_cache is None:
             from tisfm.reconstruction.frames.image_motion import FlowCache
 
-            self._flow = FlowCache(self.camera, lambda one: self.tracker_input(one)[0])
-        return self._flow.flow_to(number)
+            self._flow_cache = FlowCache(self.camera, lambda frame: self.tracker_input(frame)[0])
+        return self._flow_cache.flow_to(number)
 
     def _resample(self, number: int, resampling: Resampling) -> None:
-        self._flow = None
+        self._flow_cache = None
         ignored = ~resampling.valid
-        before = self.ignored(number)
-        if before is not None:
-            ignored |= resampling.apply_nearest(before.astype(np.float32)) > 0
+        earlier_ignored = self.ignored(number)
+        if earlier_ignored is not None:
+            ignored |= resampling.apply_nearest(earlier_ignored.astype(np.float32)) > 0
         grey = self.grey(number)
         self._cached_frames.pop(number)
         write_npy(self._grey_path(number), resampling.apply(grey))
@@ -188,17 +190,17 @@ class PreparedFrames:
         return levels, None if used_pixels is None else ~used_pixels
 
     def set_labels(self, number: int, labels: np.ndarray) -> bool:
-        """Set and write the labels of a frame, (H, W) uint8; labelled pixels are ignored later.
+        """Set and write the labels of a frame, (H, W) uint8; later stages ignore labelled pixels.
 
         Return whether the set of labelled pixels changed. Masked pixels get label 0.
         """
         ignored = self.ignored(number)
         if ignored is not None:
             labels = np.where(ignored, np.uint8(0), labels)
-        before = self.labels(number) > 0
+        was_moving = self.labels(number) > 0
         write_labels(self._pictures.parent, number, labels)
         self._change_state(number, is_labelled=bool(labels.any()))
-        return not np.array_equal(before, labels > 0)
+        return not np.array_equal(was_moving, labels > 0)
 
     def labels(self, number: int) -> np.ndarray:
         """Return the id of the moving object at each pixel, (H, W) uint8; 0 is static."""
@@ -231,15 +233,15 @@ class PreparedFrames:
         frame: np.ndarray = np.load(self._grey_path(number)) if cached is None else cached
         while len(self._cached_frames) >= CACHED_FRAMES:
             self._cached_frames.pop(next(iter(self._cached_frames)))
-        self._cached_frames[number] = frame  # the last one is the most recently used
+        self._cached_frames[number] = frame  # the last entry is the most recently used frame
         return frame.astype(np.float32)
 
     def used_pixels(self, number: int) -> np.ndarray | None:
         """Return the pixels of a frame that are used, (H, W) bool; None if all are used."""
         ignored = self.ignored(number)
         if self._states[number].is_labelled:
-            moving = self.labels(number) > 0
-            ignored = moving if ignored is None else ignored | moving
+            is_moving = self.labels(number) > 0
+            ignored = is_moving if ignored is None else ignored | is_moving
         return None if ignored is None else ~ignored
 
     def _change_state(self, number: int, **changes: Any) -> None:
@@ -268,7 +270,7 @@ class PreparedFrames:
 
 
 def _resample_labels(labels: np.ndarray, resampling: Resampling) -> np.ndarray:
-    """Return labels, (H, W) uint8, resampled with a map; 0 outside the frame."""
+    """Return resampled labels, (H, W) uint8; 0 outside the frame."""
     return np.nan_to_num(resampling.apply_nearest(labels.astype(np.float32))).astype(np.uint8)
 
 
@@ -279,8 +281,8 @@ def _uncorrected_file(path: Path) -> Path:
 def write_picture(path: Path, picture: np.ndarray) -> None:
     """Write a JPEG picture, (H, W) or (H, W, 3) RGB uint8, completely or not at all."""
     bgr = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
-    is_encoded, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    is_encoded, jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     if not is_encoded:
         raise InputError(f"{path} cannot be encoded: the picture is {picture.shape}")
     with atomic_write(path) as file:
-        file.write(data.tobytes())
+        file.write(jpeg.tobytes())

@@ -14,9 +14,9 @@ from tisfm.sources import BadFrames, FrameSource, Source
 from tisfm.sources.frame_reader import is_integer
 from tisfm.sources.masks import Mask
 
-# Frames between reading and yielding a frame, by default. Set by hand.
+# Default delay: the number of later frames that are read before a frame is yielded. Set by hand.
 DEFAULT_DELAY = 60
-# Frames: the shortest possible delay. Set by hand.
+# The shortest delay, frames. Set by hand.
 MIN_DELAY = 6
 
 
@@ -94,7 +94,8 @@ def reconstruct_stream(
     calibrate = resolve_calibrate(calibrate, is_known=camera is not None)
     if calibrate == "radial":
         raise InputError(
-            'calibrate is "radial": distortion is found from a whole sequence, by tisfm.reconstruct'
+            'calibrate is "radial": distortion is estimated from a whole sequence only: use '
+            "tisfm.reconstruct"
         )
     camera, _ = resolve_camera(camera)
     if not is_integer(delay):
@@ -111,10 +112,10 @@ def reconstruct_stream(
         mask=mask,
         bad_frames=bad_frames,
     )
-    return _streamed(frames, camera, calibrate, settings, int(delay))
+    return _stream_frames(frames, camera, calibrate, settings, int(delay))
 
 
-def _streamed(
+def _stream_frames(
     frames: FrameSource,
     camera: Camera | Path | None,
     calibrate: Calibrate,

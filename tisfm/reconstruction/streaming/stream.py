@@ -41,8 +41,8 @@ from tisfm.sources.frame_reader import warn_notes
 from tisfm.status import Status
 from tisfm.trajectory.times import time_fault
 
-# The delay divided by this number: number of the last frames that help to find the path, but are
-# yielded in a later call.
+# The last frames help to find the path, but are yielded in a later call. Their number is the delay
+# divided by this number, which was set by hand.
 LOOKAHEAD_DIVISOR = 3
 
 
@@ -65,44 +65,44 @@ class Stream:
         self._folder = Path()
         self._frames: PreparedFrames
         self._path: SlidingPath
-        # Index, name and time of each frame that is not yielded yet
+        # by frame that is not yielded yet: number in the source, name and time, s
         self._frame_info: dict[int, tuple[int, str, float | None]] = {}
         self._last_keyframes: dict[int, tuple[int, WindowDepth]] = {}  # last keyframe of each piece
         self._yielded_pieces: set[int] = set()  # pieces with yielded frames
         self._warned_count = 0
-        self._notes: list[str] = list(source.notes)  # notes without a warning yet
+        self._notes: list[str] = list(source.notes)  # notes that were not shown as warnings yet
         self._has_times_fault = False
 
     def frames(self) -> Iterator[StreamedFrame]:
         """Yield every frame in order; an error of the source follows the frames before it."""
-        fault: Exception | None = None
+        source_error: Exception | None = None
         count = 0
         with (
             TemporaryDirectory(prefix="tisfm-") as folder,
-            closing(self._source.frames()) as incoming,
+            closing(self._source.frames()) as source_frames,
         ):
             self._folder = Path(folder)
-            while fault is None:
+            while source_error is None:
                 try:
-                    frame = next(incoming, None)
+                    frame = next(source_frames, None)
                     if frame is None:
                         break
                     self._add(frame, count)
                 except Exception as error:
-                    fault = error
+                    source_error = error
                     break
                 finally:
-                    self._warn_of_skipped()
+                    self._warn_about_skipped()
                     warn_notes(self._notes, stacklevel=4)
                     self._notes.clear()
                 del frame  # so that its memory is free while frames are yielded
                 count += 1
                 if len(self._frame_info) > self._delay:
                     yield from self._yield_frames(count - 1 - self._delay // LOOKAHEAD_DIVISOR)
-            if self._frame_info and (count > 1 or fault is not None):
+            if self._frame_info and (count > 1 or source_error is not None):
                 yield from self._yield_frames(count - 1, at_end=True)
-        if fault is not None:
-            raise fault
+        if source_error is not None:
+            raise source_error
         if count < 2:
             raise InputError(
                 f"{self._source.title} has {count} frame{'s' * (count != 1)} that can be read: "
@@ -120,10 +120,10 @@ class Stream:
             )
             self._path = SlidingPath(
                 self._frames.camera,
-                is_focal_known=self._calibrate == "nothing",
+                is_focal_fixed=self._calibrate == "nothing",
                 readout=self._frames.camera.readout,
-                limit=camera.max_focal_deviation,
-                is_guess=not camera.is_focal_known,
+                max_deviation=camera.max_focal_deviation,
+                is_focal_guessed=not camera.is_focal_known,
             )
         self._path.add(*self._frames.add(frame), index_and_time=(frame.index, frame.time))
         self._check_time(number, frame)
@@ -133,8 +133,8 @@ class Stream:
         """Note the first frame whose time is not later than that of the previous frame."""
         if self._has_times_fault or number - 1 not in self._frame_info:
             return
-        before = self._frame_info[number - 1]
-        fault = time_fault(before[2], frame.time, f"frame {before[1]}", f"frame {frame.name}")
+        previous = self._frame_info[number - 1]
+        fault = time_fault(previous[2], frame.time, f"frame {previous[1]}", f"frame {frame.name}")
         if fault:
             self._has_times_fault = True
             self._notes.append(f"{fault}: use the numbers of frames instead of times")
@@ -152,11 +152,11 @@ class Stream:
             if any(first <= frame <= last for frame in piece.poses)
         }
         self._path.fix_poses(last, pieces)
-        yield from self._with_depth(pieces, solution.lost, first, last)
-        self._drop_old()
+        yield from self._find_depth(pieces, solution.missing, first, last)
+        self._drop_unneeded()
 
-    def _with_depth(
-        self, pieces: Mapping[int, Piece], lost: Mapping[int, Status], first: int, last: int
+    def _find_depth(
+        self, pieces: Mapping[int, Piece], missing: Mapping[int, Status], first: int, last: int
     ) -> Iterator[StreamedFrame]:
         """Find the depth of the frames from `first` to `last`, and yield the frames."""
         numbers = {frame: number for number, piece in pieces.items() for frame in piece.poses}
@@ -167,34 +167,39 @@ class Stream:
         for frame in range(first, last + 1):
             number = numbers.get(frame, -1)
             if number < 0:
-                yield self._frame(frame, None, -1, lost[frame], None, False)
+                yield self._make_frame(frame, None, -1, missing[frame], None, False)
                 continue
-            depth, key = depths[number].of(frame), depths[number].key
-            if key is not None and key[0] <= frame:  # a later keyframe may belong to the next call
-                self._last_keyframes[number] = key
+            depth, last_keyframe = depths[number].depth_of(frame), depths[number].last_keyframe
+            if (
+                last_keyframe is not None and last_keyframe[0] <= frame
+            ):  # a later keyframe may belong to the next call
+                self._last_keyframes[number] = last_keyframe
             status = Status("converged") if depth is not None else NO_PARALLAX
             if number not in self._yielded_pieces and number > 0:
                 status = add_piece_note(status)
             self._yielded_pieces.add(number)
-            keyframe = key is not None and key[0] == frame
-            yield self._frame(frame, pieces[number].poses[frame], number, status, depth, keyframe)
+            keyframe = last_keyframe is not None and last_keyframe[0] == frame
+            yield self._make_frame(
+                frame, pieces[number].poses[frame], number, status, depth, keyframe
+            )
 
     def _update_camera(self) -> None:
         """Use the camera of the path, and warn once if its focal length is unreliable."""
         path = self._path
         self._frames.camera = replace(path.camera, readout=0.0) if path.readout else path.camera
-        is_found = path.readout and path.readout_deviation  # a given readout has deviation 0
+        # A given readout has deviation 0.
+        is_readout_estimated = path.readout and path.readout_deviation
         camera = self._source_camera
-        found = camera.calibration(
+        calibration = camera.calibration(
             path.focal,
             path.camera,
             is_estimated=self._calibrate != "nothing",
             focal=camera.full_camera.focal / camera.used_camera.focal * path.camera.focal,
-            readout=(path.readout or 0.0, path.readout_deviation) if is_found else None,
+            readout=(path.readout or 0.0, path.readout_deviation) if is_readout_estimated else None,
         )
-        if not found.seen and found != self._calibration:
-            warnings.warn(found.message, GuessedFocalWarning, stacklevel=5)
-        self._calibration = found
+        if not calibration.seen and calibration != self._calibration:
+            warnings.warn(calibration.message, GuessedFocalWarning, stacklevel=5)
+        self._calibration = calibration
 
     def _final_piece(
         self, number: int, piece: Piece, solution: SlidingSolution, first: int
@@ -208,49 +213,56 @@ class Stream:
         if depth is not None:
             unit = median_depth(depth.inverse_depth)
         else:
-            seen = self._path.seen[begin]
-            unit = float(np.median([*track_depths(seen, piece.points, piece.poses[begin])[1], 1.0]))
-        return _transformed(piece, piece.poses[begin], unit)
+            observations = self._path.observations[begin]
+            unit = float(
+                np.median([*track_depths(observations, piece.points, piece.poses[begin])[1], 1.0])
+            )
+        return _transform_piece(piece, piece.poses[begin], unit)
 
     def _adjust_poses(self, number: int, piece: Piece, solution: SlidingSolution) -> Piece:
-        """Return a piece; new poses are adjusted to the images if the settings ask for accuracy."""
+        """Return the piece; new poses are adjusted to images if the settings ask for accuracy."""
         if self._effort != "accurate":
             return piece
-        recent = self._without_dropped(piece)
+        recent = self._select_recent(piece)
         if number in self._last_keyframes:
             first = self._last_keyframes[number][0]
             poses = {frame: pose for frame, pose in recent.poses.items() if frame >= first}
             recent = replace(recent, poses=poses)
         windows = self._depths(number, recent, -1).keyframe_windows()
-        fixed = {frame: solution.fixed[frame] for frame in recent.poses if frame in solution.fixed}
+        fixed_poses = {
+            frame: solution.fixed_poses[frame]
+            for frame in recent.poses
+            if frame in solution.fixed_poses
+        }
         grey, camera = self._frames.grey, self._frames.camera
         poses = adjust_poses(
-            recent.poses, windows, grey, camera, self._settings, fixed_frames=fixed
+            recent.poses, windows, grey, camera, self._settings, fixed_frames=fixed_poses
         )
-        return replace(piece, poses={**piece.poses, **poses, **fixed})
+        return replace(piece, poses={**piece.poses, **poses, **fixed_poses})
 
     def _depths(self, number: int, piece: Piece, after: int) -> PieceDepths:
-        """Return the depth iterator of the frames of a piece after a frame."""
+        """Return the iterator over the depth of the frames of a piece later than frame `after`."""
         depths = PieceDepths(
             self._frames,
-            self._without_dropped(piece),
-            self._path.seen,
+            self._select_recent(piece),
+            self._path.observations,
             self._settings,
             self._effort,
             start_keyframe=self._last_keyframes.get(number),
             written_until=after,
         )
-        # The first keyframe defines the unit: if possible it is a frame that is still to be
-        # yielded.
+        # The first keyframe defines the unit. If possible, this keyframe was not yielded yet.
         depths.keyframes = [key for key in depths.keyframes if key > after] or depths.keyframes
         return depths
 
-    def _without_dropped(self, piece: Piece) -> Piece:
-        """Return a piece without its dropped frames."""
-        recent = set(self._path.seen.frames())
-        return replace(piece, poses={f: pose for f, pose in piece.poses.items() if f in recent})
+    def _select_recent(self, piece: Piece) -> Piece:
+        """Return a piece with its recent frames only: data of other frames were dropped."""
+        recent = set(self._path.observations.frames())
+        return replace(
+            piece, poses={frame: pose for frame, pose in piece.poses.items() if frame in recent}
+        )
 
-    def _frame(
+    def _make_frame(
         self,
         frame: int,
         pose: np.ndarray | None,
@@ -281,8 +293,8 @@ class Stream:
             calibration=self._calibration,
         )
 
-    def _drop_old(self) -> None:
-        """Drop the data that the path and depth of later frames do not need."""
+    def _drop_unneeded(self) -> None:
+        """Drop the data that the path and the depth of later frames do not need."""
         self._frames.finalise_corrections(self._path.last_fixed)
         keyframes = {key for key, _ in self._last_keyframes.values()}
         first = self._path.last_fixed + 1 - DEPTH.max_frame_distance
@@ -294,7 +306,7 @@ class Stream:
             if number in self._path.pieces
         }
 
-    def _warn_of_skipped(self) -> None:
+    def _warn_about_skipped(self) -> None:
         for _, reason in self._source.skipped[self._warned_count :]:
             warnings.warn(f"{reason}; the frame is skipped", stacklevel=4)
         self._warned_count = len(self._source.skipped)
@@ -304,34 +316,34 @@ class _OrderedDepth:
     """Depth of frames in order; `PieceDepths` yields keyframes before the frames between them."""
 
     def __init__(self, depths: PieceDepths) -> None:
-        # The last keyframe that was reached, and its depth
-        self.key: tuple[int, WindowDepth] | None = None
+        # number and depth of the last keyframe that was reached
+        self.last_keyframe: tuple[int, WindowDepth] | None = None
         self._sorted = self._in_order(depths)
         self._next: FrameDepth | None = next(self._sorted, None)
 
-    def of(self, frame: int) -> FrameDepth | None:
+    def depth_of(self, frame: int) -> FrameDepth | None:
         """Return the depth of a frame, or None. Frames have to be requested in order."""
         while self._next is not None and self._next.frame < frame:
             self._next = next(self._sorted, None)
         return self._next if self._next is not None and self._next.frame == frame else None
 
     def _in_order(self, depths: PieceDepths) -> Iterator[FrameDepth]:
-        waiting: tuple[FrameDepth, WindowDepth] | None = None
+        keyframe_depth: tuple[FrameDepth, WindowDepth] | None = None
         for depth in depths:
-            if waiting is not None and depth.frame > waiting[0].frame:
-                self.key = waiting[0].frame, waiting[1]
-                yield waiting[0]
-                waiting = None
+            if keyframe_depth is not None and depth.frame > keyframe_depth[0].frame:
+                self.last_keyframe = keyframe_depth[0].frame, keyframe_depth[1]
+                yield keyframe_depth[0]
+                keyframe_depth = None
             if depth.frame in depths.final_depths:
-                waiting = depth, depths.final_depths[depth.frame]
+                keyframe_depth = depth, depths.final_depths[depth.frame]
             else:
                 yield depth
-        if waiting is not None:
-            self.key = waiting[0].frame, waiting[1]
-            yield waiting[0]
+        if keyframe_depth is not None:
+            self.last_keyframe = keyframe_depth[0].frame, keyframe_depth[1]
+            yield keyframe_depth[0]
 
 
-def _transformed(piece: Piece, origin: np.ndarray, unit: float) -> Piece:
+def _transform_piece(piece: Piece, origin: np.ndarray, unit: float) -> Piece:
     """Return a piece in the axes of a pose, (4, 4) camera to world, and in another unit."""
     poses = {}
     for frame, pose in piece.poses.items():
