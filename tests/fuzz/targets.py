@@ -16,7 +16,7 @@ from tisfm.datasets.depth_files import read_disparity
 from tisfm.formats.label_picture import has_colour_palette, read_label_picture
 from tisfm.interpretation import Interpretation
 from tisfm.reconstruction.result import folder as record
-from tisfm.reconstruction.result.calibration import calibration_in
+from tisfm.reconstruction.result.calibration import read_calibration
 from tisfm.sources.labels import Labels
 from tisfm.sources.masks import Masks
 
@@ -104,7 +104,7 @@ def _labels(path: Path) -> Any:
 
 
 def _calibrated(path: Path) -> Any:
-    return calibration_in(path, camera_file.read_camera(path).focal)
+    return read_calibration(path, camera_file.read_camera(path).focal)
 
 
 def _cam(path: Path) -> Any:

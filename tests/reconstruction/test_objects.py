@@ -216,7 +216,7 @@ def test_json_of_an_object():
         extent=np.array([1.0, 2, 3]),
         scale_from="contact",
     )
-    again = MovingObject.of_json(json.loads(json.dumps(thing.as_json(), allow_nan=False)))
+    again = MovingObject.from_json(json.loads(json.dumps(thing.as_json(), allow_nan=False)))
     np.testing.assert_array_equal(again.poses, poses)
     np.testing.assert_array_equal(again.boxes, thing.boxes)
     assert (again.id, again.frames, again.scale_from) == (2, (3, 4), "contact")

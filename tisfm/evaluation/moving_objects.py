@@ -190,7 +190,7 @@ def compare_object_paths(
         )
     try:
         record = read_json(truth / OBJECTS)
-        true_objects = {one.id: one for one in map(MovingObject.of_json, record["objects"])}
+        true_objects = {one.id: one for one in map(MovingObject.from_json, record["objects"])}
     except FormatError:
         raise
     except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:

@@ -20,7 +20,7 @@ from tisfm.reconstruction.progress import DepthOf, Progress
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.earlier_labels import find_result_labels
 from tisfm.reconstruction.result.folder import CACHE
-from tisfm.reconstruction.result.moving_object import checked_object_sizes
+from tisfm.reconstruction.result.moving_object import check_object_sizes
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.reconstruction.result.renewal import TemporaryFolder, renewed_folder
 from tisfm.settings import Settings
@@ -177,7 +177,7 @@ def reconstruct(
     trajectory = None if poses is None else as_trajectory(poses)
     mask, labels = _mask_and_labels(mask, labels, settings)
     result_labels = find_result_labels(labels, source)
-    lengths = checked_object_sizes(object_sizes)
+    lengths = check_object_sizes(object_sizes)
     if lengths and settings.motion != "objects":
         raise InputError(
             f'object_sizes are given and motion is "{settings.motion}": expected motion="objects"'

@@ -16,8 +16,8 @@ from tisfm.reconstruction.mapping.solution import FocalEstimate
 from tisfm.reconstruction.result.calibration import (
     GIVEN,
     Calibration,
-    calibration_in,
     describe_focal,
+    read_calibration,
 )
 from tisfm.sources import FrameSource, SourceFrame
 
@@ -52,7 +52,7 @@ class SourceCamera:
         guess, given_calibration = None, GIVEN
         if isinstance(given, Path):
             full_camera = read_camera(given, (height, width))
-            given_calibration = calibration_in(given, full_camera.focal)
+            given_calibration = read_calibration(given, full_camera.focal)
         elif given is not None:
             full_camera = given
         else:

@@ -42,7 +42,7 @@ from tisfm.reconstruction.path.given_poses import poses_of_frames
 from tisfm.reconstruction.progress import DepthOf, Progress
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.reconstruction import Reconstruction
-from tisfm.reconstruction.result.renewal import CHUNKS, refuse_others, renewed_locked_folder
+from tisfm.reconstruction.result.renewal import CHUNKS, refuse_other_files, renewed_locked_folder
 from tisfm.reconstruction.result.request import (
     is_done,
     make_request,
@@ -218,7 +218,7 @@ class ChunkedRun:
         report: Progress = progress or (lambda stage, done, total: None)
         path = make_result_folder(self.folder)
         with locked_folder(path), ExitStack() as stack:
-            refuse_others(path)
+            refuse_other_files(path)
             self._prepare_folder(path / CHUNKS, resume)
             presence = stack.enter_context(presence_file(path / CHUNKS))
             chunks, count = (

@@ -11,7 +11,7 @@ from tisfm.focal_guess import at_size
 from tisfm.formats import FormatError
 
 Calibrate = Literal["nothing", "focal", "radial"]
-"""The camera parameters that are found: none, the focal length, or a radial coefficient as well."""
+"""The estimated camera parameters: none, the focal length, or also a radial coefficient."""
 Origin = Literal["given", "estimated", "guessed"]
 
 
@@ -23,30 +23,27 @@ class Calibration:
     and ``--focal``. `Reconstruction.camera` has px of the frames of the result.
     """
 
-    # Whether the focal length was given, estimated from the sequence, or guessed from the image
-    # file or the image size. If the camera was given as a file, the origin that the file states.
+    # Whether the user gave the focal length, or it was estimated from the sequence, or guessed from
+    # the image file or the image size. For a camera file, this is the origin in the file.
     origin: Origin
     # the focal length, px of the frames of the source; None before any frame is known
     focal: float | None = None
-    # its standard deviation, px of the frames of the source: 0 if it was given, infinite if it was
-    # guessed
+    # standard deviation of the focal length, px of the frames of the source: 0 for a given focal
+    # length, infinite for a guess
     focal_std: float = 0.0
     # height and width of the frames of the source, px
     shape: tuple[int, int] | None = None
-    # whether the focal length is reliable: False if it was guessed, or if the motion hardly
-    # determines it
+    # whether the focal length is reliable: False for a guess, or if the motion hardly determines it
     seen: bool = True
-    # the focal length, its origin and the size of its frames in words; empty if it was given
+    # the focal length, its origin and the size of its frames in words; empty if the user gave it
     message: str = ""
-    # the lens coefficient k1 that was estimated with it, whose distortion was removed; 0 if none
-    # was estimated
+    # the estimated lens coefficient k1, whose distortion was removed; 0 without an estimate
     radial: float = 0.0
-    radial_std: float = 0.0  # its standard deviation
-    # Readout time of the frames of the source, as for `tisfm.Camera`, if it was estimated from the
-    # sequence; its effect has been removed from the frames. 0 if there is no effect, or if it was
-    # given.
+    radial_std: float = 0.0  # standard deviation of `radial`
+    # the estimated readout time of the frames of the source, as for `tisfm.Camera`; its effect was
+    # removed from the frames; 0 for no effect, or if the user gave the readout time
     readout: float = 0.0
-    readout_std: float = 0.0  # its standard deviation
+    readout_std: float = 0.0  # standard deviation of `readout`
 
     def __post_init__(self) -> None:
         """Check the values, which may come from a file."""
@@ -66,9 +63,9 @@ GIVEN = Calibration(origin="given")
 
 
 def describe_focal(focal: float, deviation: float, shape: tuple[int, int] | None) -> str:
-    """Return a focal length and its deviation, px, with the size (H, W) of their frames.
+    """Return a text: a focal length and its deviation, px, and the size (H, W) of the frames.
 
-    A deviation that is 0 or infinite is left out.
+    The text leaves out a deviation of 0 or infinity.
     """
     text = f"{focal:.4g}"
     if 0 < deviation < math.inf:
@@ -77,7 +74,7 @@ def describe_focal(focal: float, deviation: float, shape: tuple[int, int] | None
 
 
 def as_json(calibration: Calibration) -> dict[str, Any]:
-    """Return the calibration as JSON, which has no infinite numbers."""
+    """Return the calibration as JSON values; JSON has no infinite numbers."""
     values = asdict(calibration)
     if math.isinf(calibration.focal_std):
         values["focal_std"] = None
@@ -85,7 +82,7 @@ def as_json(calibration: Calibration) -> dict[str, Any]:
 
 
 def from_json(stored: dict[str, Any]) -> Calibration:
-    """Return the calibration that `as_json` wrote."""
+    """Return the calibration from the values of `as_json`."""
     deviation = math.inf if stored["focal_std"] is None else float(stored["focal_std"])
     names = {field.name for field in fields(Calibration)}  # later versions may have more fields
     converters: dict[str, Any] = {"origin": str, "seen": bool, "message": str, "shape": _shape}
@@ -100,14 +97,13 @@ def _shape(values: Any) -> tuple[int, int]:
     return height, width
 
 
-def calibration_in(
+def read_calibration(
     path: str | os.PathLike[str],  # a file or folder that `tisfm.camera_file.read_camera` reads
-    # px: focal length of the frames of the source, whose size may differ from the size in the file.
-    # The returned focal length and deviation are px of these frames; the message is that of the
-    # file.
+    # px: focal length for the frames of the source, whose size may differ from the size in the
+    # file. The returned focal length and deviation are for these frames; the message is unchanged.
     focal: float,
 ) -> Calibration:
-    """Return the calibration in the file of a camera; "given" if the file states no origin.
+    """Return the calibration in a camera file; "given" if the file states no origin.
 
     Raises OSError if the file cannot be read.
 
@@ -125,7 +121,7 @@ def calibration_in(
         calibration,
         focal=focal,
         focal_std=ratio * calibration.focal_std,
-        shape=None,  # the size of these frames is unknown here
-        readout=0.0,  # from now on it counts as given
+        shape=None,  # the size of the frames is unknown here
+        readout=0.0,  # not an estimate of this run
         readout_std=0.0,
     )

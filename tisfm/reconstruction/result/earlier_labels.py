@@ -15,8 +15,10 @@ from tisfm.camera_file import read_camera
 from tisfm.errors import InputError
 from tisfm.reconstruction.result.folder import MASKS, PICTURES, RECORD, mask_path, read_record
 
+# Distortion coefficients of OpenCV's largest lens model.
 MAX_COEFFICIENTS = 14
-SAME_CAMERA_TOLERANCE = 1e-6  # relative difference below which two cameras are equal
+# Relative difference of parameters, below which two cameras are equal.
+SAME_CAMERA_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,12 +27,12 @@ class ResultLabels:
 
     folder: Path
     files: Mapping[str, Path]  # label files by the names of the frames
-    # the labels fit frames without the distortion and readout motion of this camera; None if they
-    # fit the frames as they are read
+    # the labels fit frames that are corrected for distortion and rolling shutter of this camera;
+    # None if they fit uncorrected frames
     camera: Camera | None
 
     def check(self, given_camera: Camera | None, calibrate: str) -> None:
-        """Raise InputError unless frames are prepared like those of the labels."""
+        """Raise InputError unless frames get the same correction as the frames of the labels."""
         if self.camera is None or (
             given_camera is not None
             and calibrate == "nothing"
@@ -45,12 +47,12 @@ class ResultLabels:
 
 
 def find_result_labels(
-    # labels, source: As for `tisfm.reconstruct`. If the source is the frames folder of that
-    # reconstruction, the labels fit its frames.
+    # labels, source: as for `tisfm.reconstruct`. If the source is the frames folder of the
+    # reconstruction with the labels, the labels fit uncorrected frames.
     labels: Any,
     source: Any,
 ) -> ResultLabels | None:
-    """Return the labels in a folder of a reconstruction, or in its masks folder; else None."""
+    """Return the labels in the folder of a reconstruction or in its masks folder; else None."""
     if not isinstance(labels, (str, os.PathLike)):
         return None
     path = Path(labels)

@@ -1,7 +1,8 @@
 """The folder of a reconstruction.
 
-``reconstruction.json`` is written last: a folder without it is incomplete. Until then
-``reconstruction.begun`` marks the folder as one of tisfm. ``docs/formats.md`` describes the files.
+``reconstruction.json`` is the last file that is written: a folder without this file is incomplete.
+Until then, ``reconstruction.begun`` marks the folder as one of tisfm. ``docs/formats.md`` describes
+the files.
 """
 
 import json
@@ -32,8 +33,8 @@ from tisfm.settings import Settings
 from tisfm.status import Status
 from tisfm.trajectory.poses import check_poses
 
-FORMAT = 2  # of the record
-OBJECTS_FORMAT = 1  # of the file of moving objects
+FORMAT = 2  # version of the format of the record
+OBJECTS_FORMAT = 1  # version of the format of the file of moving objects
 RECORD = "reconstruction.json"
 MARKER = "reconstruction.begun"
 PATH = "path.npz"
@@ -42,9 +43,9 @@ PICTURES = "frames"
 CACHE = "cache"
 MASKS = "masks"
 OBJECTS = "objects.json"
-MAX_HALF = 60000.0  # values are scaled to at most this: float16 ends at 65504
-# Errors that other JSON, or numbers outside NumPy's range, raise when read.
-_DAMAGE_ERRORS = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
+MAX_HALF = 60000.0  # largest stored float16 value; the largest possible value is 65504
+# Errors from reading damaged JSON, or numbers outside NumPy's range.
+_READ_ERRORS = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
 PARTS = (RECORD, PATH, DEPTH, PICTURES, CAMERA, MASKS, OBJECTS)
 _HALF_ARRAYS = ("inverse_depth", "inverse_depth_std")
 REQUEST = "asked.json"  # the request of `tisfm reconstruct`
@@ -56,7 +57,7 @@ OPTIONAL_FILES = (
 def write_depth(
     folder: Path,
     number: int,  # number of the frame
-    # inverse_depth, deviation: (H, W) float32, NaN and infinity where there is no depth
+    # inverse_depth, deviation: (H, W) float32; NaN and infinity without depth
     inverse_depth: np.ndarray,
     deviation: np.ndarray,
 ) -> None:
@@ -71,14 +72,14 @@ def write_depth(
 
 
 def max_finite(values: np.ndarray) -> float:
-    """Return the largest finite value, 0 if there is none."""
+    """Return the largest finite value; 0 without finite values."""
     return float(np.max(values, where=np.isfinite(values), initial=0.0))
 
 
 def read_depth(folder: Path, number: int, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return inverse depth and deviation of a frame, (H, W) float32; NaN and infinity if none.
+    """Return inverse depth and deviation of a frame, (H, W) float32; NaN, infinity without depth.
 
-    Raises FileNotFoundError if the depth folder is missing: it was moved or deleted.
+    Raises FileNotFoundError if the depth folder is missing.
 
     Raises tisfm.formats.FormatError if the file is damaged.
     """
@@ -96,8 +97,8 @@ def read_depth(folder: Path, number: int, shape: tuple[int, int]) -> tuple[np.nd
         scale = np.float32(file.read("scale"))
         if not (np.isfinite(scale) and scale > 0):
             raise FormatError(f"{path} has the scale {scale}: expected a finite positive number")
-        stored = [file.read(name) for name in _HALF_ARRAYS]
-    inverse_depth, deviation = (values.astype(np.float32) * scale for values in stored)
+        arrays = [file.read(name) for name in _HALF_ARRAYS]
+    inverse_depth, deviation = (values.astype(np.float32) * scale for values in arrays)
     return inverse_depth, deviation
 
 
@@ -131,21 +132,21 @@ def write_objects(folder: Path, objects: Sequence[MovingObject]) -> None:
 
 
 def _read_objects(folder: Path, settings: Settings, count: int) -> tuple[MovingObject, ...]:
-    """Return the moving objects of a folder; none if they were not searched for."""
+    """Return the moving objects of a folder; none without ``motion="objects"``."""
     path = folder / OBJECTS
     if settings.motion != "objects":
         return ()
     for part in (path, folder / MASKS):
         if not part.exists():
             raise FormatError(f"{folder} has no {part.name}: it is not complete")
-    with _damage_as_format_error(path):
+    with _raise_format_error(path):
         record = read_json(path)
         if record["format"] != OBJECTS_FORMAT:
             raise InputError(
                 f"it is of format {record['format']}, this version reads {OBJECTS_FORMAT}: "
                 "reconstruct the source again"
             )
-        objects = tuple(MovingObject.of_json(obj) for obj in record["objects"])
+        objects = tuple(MovingObject.from_json(obj) for obj in record["objects"])
         for obj in objects:
             if not set(obj.frames) <= set(range(count)):
                 raise InputError(f"object {obj.id} is labelled in frames that do not exist")
@@ -171,7 +172,7 @@ def read_picture(folder: Path, number: int) -> np.ndarray:
 
 
 def write_record(folder: Path, result: Any) -> None:
-    """Write the path and, last, the record of a reconstruction."""
+    """Write the path of a reconstruction, and last the record."""
     times = np.array([np.nan if time is None else time for time in result.times])
     path = {
         "poses": result.poses,
@@ -211,18 +212,18 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
     if not (path / RECORD).is_file():
         reason = "is not complete" if (path / DEPTH).is_dir() else "is not that of a reconstruction"
         raise FileNotFoundError(f"the folder {path} {reason}: it has no {RECORD}")
-    with _damage_as_format_error(path / RECORD):
+    with _raise_format_error(path / RECORD):
         record = read_json(path / RECORD)
         if record["format"] != FORMAT:
             raise InputError(
                 f"it is of format {record['format']}, written by tisfm {record.get('version')}; "
                 f"this version reads format {FORMAT}: reconstruct the source again"
             )
-        kinds = {"poses": "f", "piece": "i", "times": "f", "unit": "f"}
+        dtype_kinds = {"poses": "f", "piece": "i", "times": "f", "unit": "f"}
         with NpzFile(path / PATH) as file:
-            arrays = {name: file.read(name) for name in kinds}
+            arrays = {name: file.read(name) for name in dtype_kinds}
         for name, values in arrays.items():
-            if values.dtype.kind != kinds[name]:
+            if values.dtype.kind != dtype_kinds[name]:
                 raise InputError(f"{name} of {PATH} has the type {values.dtype}")
         poses, piece, times, unit = arrays.values()
         count = len(record["names"])
@@ -263,12 +264,12 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 @contextmanager
-def _damage_as_format_error(path: Path) -> Iterator[None]:
+def _raise_format_error(path: Path) -> Iterator[None]:
     try:
         yield
     except FormatError:
         raise
-    except _DAMAGE_ERRORS as error:
+    except _READ_ERRORS as error:
         reason = " ".join(str(error).split())
         raise FormatError(f"{path} is damaged or of another kind: {reason}") from error
 

@@ -17,7 +17,7 @@ SCALES = get_args(ScaleFrom)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MovingObject:
-    """A moving object: the frames that show it, and its path, if one was found.
+    """A moving object: the frames that show it, and its path, if known.
 
     Attributes
     ----------
@@ -36,10 +36,9 @@ class MovingObject:
     scale_from : {"size", "contact", "around", "none"}
         Source of its scale, which motion alone does not give. ``"size"``: ``object_sizes`` of
         `tisfm.reconstruct`; ``"contact"``: its contact with the static scene; ``"around"``:
-        roughly, the depth around it; ``"none"``: it has no poses, or there is no depth to scale it
-        by.
+        roughly, the depth around it; ``"none"``: it has no poses, or no depth gives its scale.
     message : str
-        The reason why it has no poses or only a few.
+        The reason why it has no poses, or few poses.
 
     Examples
     --------
@@ -62,15 +61,15 @@ class MovingObject:
 
     def rescaled(self, factor: float, frame_mask: np.ndarray) -> "MovingObject":
         """Return the object with lengths times a factor in some frames, `frame_mask` (N,) bool."""
-        chosen = frame_mask[list(self.frames)]
+        is_rescaled = frame_mask[list(self.frames)]
         poses = self.poses.copy()
-        poses[chosen, :3, 3] *= factor
+        poses[is_rescaled, :3, 3] *= factor
         has_pose = np.isfinite(poses).all(axis=(1, 2))
-        extent = self.extent * (factor if (chosen & has_pose).any() else 1.0)
+        extent = self.extent * (factor if (is_rescaled & has_pose).any() else 1.0)
         return replace(self, poses=poses, extent=extent)
 
     def as_json(self) -> dict[str, Any]:
-        """Return its entry in ``objects.json``; None stands for an unknown value."""
+        """Return the entry of the object in ``objects.json``; None stands for an unknown value."""
         return {
             "id": self.id,
             "frames": list(self.frames),
@@ -82,8 +81,8 @@ class MovingObject:
         }
 
     @classmethod
-    def of_json(cls, entry: dict[str, Any]) -> "MovingObject":
-        """Return the object that `as_json` wrote.
+    def from_json(cls, entry: dict[str, Any]) -> "MovingObject":
+        """Return the object from the values of `as_json`.
 
         Raises
         ------
@@ -107,8 +106,11 @@ class MovingObject:
         )
 
 
-def labelled_objects(count: int, labels_of: Callable[[int], np.ndarray]) -> list[MovingObject]:
-    """Return the objects in the labels, (H, W), of frames, without paths."""
+def labelled_objects(
+    count: int,  # number of frames
+    labels_of: Callable[[int], np.ndarray],  # returns the labels of a frame, (H, W)
+) -> list[MovingObject]:
+    """Return the objects in the labels of frames, without paths."""
     frames: dict[int, list[int]] = {}
     boxes: dict[int, list[tuple[int, ...]]] = {}
     for frame in range(count):
@@ -129,8 +131,8 @@ def labelled_objects(count: int, labels_of: Callable[[int], np.ndarray]) -> list
     ]
 
 
-def checked_object_sizes(sizes: Mapping[int, float] | None) -> dict[int, float]:
-    """Return the lengths by object ids, checked.
+def check_object_sizes(sizes: Mapping[int, float] | None) -> dict[int, float]:
+    """Check the lengths of objects, and return them by object id.
 
     Raises TypeError, ValueError if an id is not a whole number, or a length is not positive.
     """
@@ -138,7 +140,7 @@ def checked_object_sizes(sizes: Mapping[int, float] | None) -> dict[int, float]:
         raise InputTypeError(
             f"object_sizes is {sizes!r}: expected lengths by ids, such as {{1: 4.5}}"
         )
-    checked: dict[int, float] = {}
+    lengths: dict[int, float] = {}
     for number, size in (sizes or {}).items():
         if not is_integer(number):
             raise InputTypeError(f"object_sizes has the id {number!r}: expected a whole number")
@@ -146,16 +148,16 @@ def checked_object_sizes(sizes: Mapping[int, float] | None) -> dict[int, float]:
             raise InputTypeError(f"object_sizes[{number}] is {size!r}: expected a length")
         if not (np.isfinite(size) and size > 0):
             raise InputError(f"object_sizes[{number}] is {size}: expected a positive length")
-        checked[int(number)] = float(size)
-    return checked
+        lengths[int(number)] = float(size)
+    return lengths
 
 
 def refuse_unknown_ids(sizes: Collection[int], object_ids: Collection[int]) -> None:
-    """Raise InputError if the size of an unknown object is given."""
-    unknown = sorted(set(sizes) - set(object_ids))
-    if unknown:
+    """Raise InputError if a size belongs to an unknown object."""
+    unknown_ids = sorted(set(sizes) - set(object_ids))
+    if unknown_ids:
         ids = ", ".join(map(str, sorted(object_ids))) or "none"
         raise InputError(
-            f"object_sizes has ids without an object: {', '.join(map(str, unknown))}; the ids of "
-            f"moving objects are: {ids}"
+            f"object_sizes has ids without an object: {', '.join(map(str, unknown_ids))}; the ids "
+            f"of moving objects are: {ids}"
         )

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reconstruction:
-    """Poses and depth of the frames of a sequence; depth lies on disk and is read on demand.
+    """Poses and depth of the frames of a sequence; depth is on disk, and is read on demand.
 
     Attributes
     ----------
@@ -37,12 +37,12 @@ class Reconstruction:
         median depth of its first keyframe is 1. Without depth, this holds for the tracks in its
         first frame. Given poses set the scale instead.
     unit : tuple of float
-        For every piece, the factor from depth on disk to depth; 1 unless it was rescaled.
+        For every piece, the factor from depth on disk to depth; 1 unless the piece was rescaled.
     status : tuple of Status
         For every frame, with a message: ``"converged"`` if it has a pose, and depth if depth was
         requested.
     keyframes : tuple of int
-        Frames whose depth was estimated from several others. The depth of all other frames is
+        Frames whose depth was estimated from neighbour frames. The depth of all other frames is
         rendered from the keyframes; holes are filled up to image edges.
     camera : Camera
         The pinhole camera of `depth` and `picture`: of frames that are cropped, shrunk and without
@@ -55,14 +55,13 @@ class Reconstruction:
     names : tuple of str
         Names of the frames.
     times : tuple of float or None
-        Times of the frames, s, as the source states them. They may repeat or decrease; `notes` then
-        has a note.
+        Times of the frames, s, as in the source. If they repeat or decrease, `notes` has a note.
     skipped : tuple of (int, str)
         Frames of the source that could not be read, and the reasons; they have no number in the
         result.
     notes : tuple of str
-        Notes on how the source was read: frames that were left out or resampled, and the reason if
-        paths use the numbers of frames instead of times.
+        Notes on the reading of the source: frames that were left out or resampled, and the reason
+        if paths use the numbers of frames instead of times.
     shape : (int, int)
         Height and width of the frames, px.
     folder : Path
@@ -110,9 +109,9 @@ class Reconstruction:
 
     @property
     def largest_piece(self) -> int:
-        """The piece with the most frames; 0 if there is none."""
-        placed = self.piece[self.piece >= 0]
-        return int(np.bincount(placed).argmax()) if len(placed) else 0
+        """The piece with the most frames; 0 without pieces."""
+        valid_pieces = self.piece[self.piece >= 0]
+        return int(np.bincount(valid_pieces).argmax()) if len(valid_pieces) else 0
 
     def inverse_depth(self, frame: int) -> np.ndarray:
         """Return the inverse depth of a frame, (H, W) float32, 1/unit of the poses.
@@ -136,9 +135,9 @@ class Reconstruction:
 
     def depth(self, frame: int) -> np.ndarray:
         """Return the depth of a frame, (H, W) float32, in the unit of the poses; NaN for none."""
-        inverse = self.inverse_depth(frame)
-        depth = np.full_like(inverse, np.nan)
-        np.divide(1, inverse, out=depth, where=inverse > 0)
+        inverse_depth = self.inverse_depth(frame)
+        depth = np.full_like(inverse_depth, np.nan)
+        np.divide(1, inverse_depth, out=depth, where=inverse_depth > 0)
         return depth
 
     def labels(self, frame: int) -> np.ndarray:
@@ -175,10 +174,10 @@ class Reconstruction:
         frames : iterable of int, optional
             Frames of one piece; by default the keyframes of the largest piece.
         agreeing : int
-            A point is kept if this number of frames, its own included, agree within their
-            deviations, and not more frames see through it.
+            Number of frames, the point's own frame included, that have to agree on a point within
+            their deviations; and not more frames may see through the point.
         max_relative_std : float
-            Largest relative deviation of inverse depth; other pixels are left out.
+            Largest relative deviation of inverse depth; less certain pixels are left out.
         voxel : float, optional
             Side of the cubes that keep one point each, in the unit of the poses.
 
@@ -225,11 +224,11 @@ class Reconstruction:
         frames, agreeing
             As for `points`.
         max_relative_std : float
-            Largest relative deviation of depth; other depth is left out, such as depth that was
-            propagated far over walls without texture.
+            Largest relative deviation of depth; less certain depth is left out, such as depth that
+            was propagated far over walls without texture.
         voxel : float, optional
             Side of the voxels, in the unit of the poses; by default 2 px at the median depth, or
-            half the median deviation of depth if that is more.
+            half the median deviation of depth if this is larger.
         truncation : float, optional
             Largest distance from a surface at which distances are stored.
 
@@ -313,12 +312,12 @@ class Reconstruction:
         Parameters
         ----------
         folder : path
-            A new or empty folder, or one with an earlier reconstruction, which is replaced.
+            A new or empty folder, or a folder with an earlier reconstruction, which is replaced.
 
         Raises
         ------
         FileExistsError
-            If the folder holds other files.
+            If the folder has other files.
         OSError
             If the folder cannot be written to.
 
@@ -344,7 +343,7 @@ class Reconstruction:
         Examples
         --------
         >>> import tisfm
-        >>> result = tisfm.Reconstruction.load("walk")  # depth is read when it is asked for
+        >>> result = tisfm.Reconstruction.load("walk")  # depth is read on demand
         >>> result.depth(0).shape
         (180, 240)
         """

@@ -33,24 +33,28 @@ from tisfm.reconstruction.result.folder import (
     write_record,
 )
 
-EARLIER = ".tisfm-earlier"  # holds the earlier result until the new one is complete
-MOVING_OUT = ".tisfm-leaving"  # its name while files are moved into it
-MOVING_BACK = ".tisfm-restoring"  # its name while they are moved back
-# Chunks of a result that is not yet complete.
+# Folder of the earlier result until the new result is complete.
+EARLIER = ".tisfm-earlier"
+# Name of this folder while files are moved into it.
+MOVING_OUT = ".tisfm-leaving"
+# Name of this folder while files are moved back.
+MOVING_BACK = ".tisfm-restoring"
+# Folder of the chunks of an incomplete result.
 CHUNKS = ".tisfm-chunks"
-_FOLDERS = (EARLIER, MOVING_OUT, MOVING_BACK, CHUNKS)
+_INTERNAL_FOLDERS = (EARLIER, MOVING_OUT, MOVING_BACK, CHUNKS)
 
 
 @contextmanager
 def renewed_folder(
-    folder: str | os.PathLike[str],  # made if it does not exist
+    folder: str | os.PathLike[str],  # created if it does not exist
 ) -> Iterator[Path]:
     """Prepare a folder for a reconstruction, and lock it within the block.
 
-    An earlier reconstruction in it is put aside. It is removed when the block ends, and put back if
-    an exception leaves the block. If the process is killed, it stays aside until the next run.
+    An earlier reconstruction moves to a subfolder. At the end of the block, it is removed; after an
+    exception, it moves back. If the process is killed, it stays in the subfolder until the next
+    run.
 
-    Raises FileExistsError if it holds files that do not belong to a reconstruction.
+    Raises FileExistsError if the folder has files that do not belong to a reconstruction.
 
     Raises OSError if the folder cannot be made or written to, or another run writes to it.
     """
@@ -58,7 +62,7 @@ def renewed_folder(
     with locked_folder(path):
         with renewed_locked_folder(path):
             yield path
-        try_to_remove(path / CHUNKS)  # left by an interrupted run
+        try_to_remove(path / CHUNKS)  # from an interrupted run
 
 
 @contextmanager
@@ -87,81 +91,87 @@ def copy_folder(result: Any, target: str | os.PathLike[str]) -> None:
             make_subfolder(path / name)
             for file in sorted((source / name).iterdir()):
                 copy_file(file, path / name / file.name)
-        if (source / CAMERA).exists():  # somebody may have deleted it
+        if (source / CAMERA).exists():  # the user may have deleted it
             copy_file(source / CAMERA, path / CAMERA)
         write_record(path, result)
 
 
 def _prepare(path: Path) -> None:
-    """Put an earlier result aside, remove an incomplete one, and make the inner folders."""
-    refuse_others(path)
-    for name in (*_FOLDERS, MARKER):  # tisfm makes no links; a link would lead out of the folder
+    """Move an earlier result to a subfolder, remove an incomplete result, and make subfolders."""
+    refuse_other_files(path)
+    for name in (
+        *_INTERNAL_FOLDERS,
+        MARKER,
+    ):  # tisfm makes no links; a link leads out of the folder
         remove_link(path / name)
     (path / MARKER).touch()
     # First complete the step at which an earlier run was killed.
     if (path / MOVING_BACK).exists():
-        _move(path / MOVING_BACK, path)
+        _move_files(path / MOVING_BACK, path)
         (path / MOVING_BACK).rmdir()
     if os.path.lexists(path / RECORD) and (path / EARLIER).exists():
-        remove(path / EARLIER)  # the newer one is complete
+        remove(path / EARLIER)  # the newer result is complete
     if os.path.lexists(path / RECORD) or (path / MOVING_OUT).exists():
         (path / MOVING_OUT).mkdir(exist_ok=True)
-        _move(path, path / MOVING_OUT)
+        _move_files(path, path / MOVING_OUT)
         (path / MOVING_OUT).rename(path / EARLIER)
-    _remove(path)
+    _remove_files(path)
     for name in (DEPTH, PICTURES, CACHE):
         (path / name).mkdir()
 
 
-def refuse_others(path: Path) -> None:
-    """Raise FileExistsError if a folder holds other files than those of a reconstruction."""
+def refuse_other_files(path: Path) -> None:
+    """Raise FileExistsError if a folder has files that do not belong to a reconstruction."""
     expected = {*PARTS, *OPTIONAL_FILES, CACHE, MARKER}
-    if not is_report(path / REPORT):  # a report.html that tisfm did not write
+    if not is_report(path / REPORT):  # tisfm did not write this report.html
         expected.discard(REPORT)
     names = sorted(item.name for item in path.iterdir())
-    internal = {name for name in names if name in (LOCK, *_FOLDERS) or is_temporary(name)}
-    others = [name for name in names if name not in expected | internal]
-    if not others and not internal & set(_FOLDERS) and not {RECORD, MARKER} & set(names):
-        others = [
-            name for name in names if name not in internal
-        ]  # known names, but no mark of tisfm
-    if others:
+    internal = {name for name in names if name in (LOCK, *_INTERNAL_FOLDERS) or is_temporary(name)}
+    other_files = [name for name in names if name not in expected | internal]
+    if (
+        not other_files
+        and not internal & set(_INTERNAL_FOLDERS)
+        and not {RECORD, MARKER} & set(names)
+    ):
+        # The names are known, but no file shows that tisfm made the folder.
+        other_files = [name for name in names if name not in internal]
+    if other_files:
         raise FileExistsError(
-            f"{path} has other files, such as {others[0]}: give a new folder, or an empty one"
+            f"{path} has other files, such as {other_files[0]}: give a new folder, or an empty one"
         )
 
 
 def _restore(path: Path) -> None:
-    """Restore the earlier result, if there was one."""
+    """Restore the earlier result, if any."""
     if (path / MOVING_OUT).exists():  # no file of the new result exists yet
         (path / MOVING_OUT).rename(path / MOVING_BACK)
     elif (path / EARLIER).exists():
-        _remove(path)
+        _remove_files(path)
         (path / EARLIER).rename(path / MOVING_BACK)
     if (path / MOVING_BACK).exists():
-        _move(path / MOVING_BACK, path)
+        _move_files(path / MOVING_BACK, path)
         (path / MOVING_BACK).rmdir()
         (path / MARKER).unlink(missing_ok=True)
 
 
-def _move(source: Path, target: Path) -> None:
-    """Move the files of a result; its record is the last."""
+def _move_files(source: Path, target: Path) -> None:
+    """Move the files of a result, the record last."""
     for name in (*(name for name in (*PARTS, *OPTIONAL_FILES) if name != RECORD), RECORD):
         if os.path.lexists(source / name):
             (source / name).replace(target / name)
 
 
-def _remove(path: Path) -> None:
-    """Remove the files of a result, except the file that marks the folder as ours."""
-    remove(path / RECORD)  # first: without it the result is not complete
+def _remove_files(path: Path) -> None:
+    """Remove the files of a result, except the file that marks the folder as one of tisfm."""
+    remove(path / RECORD)  # first, since a result without its record is incomplete
     for name in {*PARTS, *OPTIONAL_FILES, CACHE} - {RECORD}:
         remove(path / name)
 
 
 class TemporaryFolder:
-    """A new folder, deleted when the last reference to this object goes, or when the process ends.
+    """A new folder, deleted with the last reference to this object, or at the end of the process.
 
-    `tempfile.TemporaryDirectory` would warn that it was not closed; here this is the normal end.
+    `tempfile.TemporaryDirectory` would warn that the folder was not closed; here this is normal.
     """
 
     def __init__(self) -> None:

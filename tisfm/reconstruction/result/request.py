@@ -1,4 +1,4 @@
-"""The request of a reconstruction, stored with its result, so that `--resume` can compare it."""
+"""The request of a reconstruction; `--resume` compares it with the request of a stored result."""
 
 import hashlib
 import json
@@ -42,10 +42,10 @@ def make_request(
     poses: Trajectory | None,
     arch: str | None,  # the processor that kernels run on
     others: Mapping[str, Any],  # further options, as JSON values
-    # options that name files, a folder or a pattern; the contents of the files count
+    # options that name files, a folder or a pattern; the request contains digests of these files
     files: Mapping[str, str | None] | None = None,
 ) -> Request:
-    """Return everything that a result depends on, as JSON values."""
+    """Return all data that determine a result, as JSON values."""
     frame_files = frames.frame_files
     camera_record = camera and (
         read_camera_record(camera) if isinstance(camera, Path) else asdict(camera)
@@ -64,8 +64,8 @@ def make_request(
         **{name: path and files_digest(_files_of(path)) for name, path in (files or {}).items()},
         **others,
     }
-    plain: Request = json.loads(json.dumps(request))
-    return plain
+    json_request: Request = json.loads(json.dumps(request))
+    return json_request
 
 
 def request_digest(request: Request) -> str:
@@ -91,8 +91,8 @@ def _files_of(path: str) -> Sequence[Path]:
 def files_below(folder: Path) -> dict[str, list[int]]:
     """Return length and CRC-32 of the files in a folder, by their relative paths.
 
-    Left out are hidden files, a report (it may be made later), timings (they differ each time), and
-    the files that mark an incomplete result and hold its request.
+    Not contained are hidden files, a report (the user may make it later), timings (each run has
+    others), the mark of an incomplete result, and the request.
     """
     checksums = {}
     for path in sorted(folder.rglob("*")):
@@ -106,14 +106,14 @@ def files_below(folder: Path) -> dict[str, list[int]]:
 
 
 def write_request(folder: Path, request: Request) -> None:
-    """Write the request and the checksums of the result's files: the result is complete."""
+    """Write the request and the checksums of the result's files, so that the result is complete."""
     record = {"asked": request, "files": files_below(folder)}
     with atomic_write(folder / REQUEST, durable=True) as file:
         file.write((json.dumps(record, indent=1) + "\n").encode())
 
 
 def read_request(folder: Path) -> Request | None:
-    """Return the content of the request file, with ``asked`` and ``files``; None without one."""
+    """Return the content of the request file: ``asked`` and ``files``; None without such a file."""
     try:
         record = read_json(folder / REQUEST)
     except (FormatError, OSError):
@@ -125,9 +125,9 @@ def read_request(folder: Path) -> Request | None:
 
 
 def is_done(folder: Path, request: Request) -> bool:
-    """Return whether a folder holds the complete result of a request.
+    """Return whether a folder has the complete result of a request.
 
-    Raises ValueError if it holds the result of another request; the message names the differences.
+    Raises ValueError if it has the result of another request; the message names the differences.
     """
     record = read_request(folder)
     if record is None or not (folder / RECORD).exists():
@@ -137,7 +137,7 @@ def is_done(folder: Path, request: Request) -> bool:
 
 
 def refuse_differing_request(folder: Path, earlier: Request, request: Request) -> None:
-    """Raise InputError with the differences if a request differs from the earlier one."""
+    """Raise InputError with the differences if a request differs from the earlier request."""
     differences = summarise_differences(compare_records(earlier, request))
     if differences:
         raise InputError(
