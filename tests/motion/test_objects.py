@@ -394,13 +394,13 @@ def test_parts_of_a_label_get_motions_of_their_own():
         100.0,  # px: no motion is an outlier
         background,
     )
-    search._labels = lambda motions, **options: np.minimum(true, 1)
-    found = search._split([background, joint], 5)
+    search._assign_labels = lambda motions, **options: np.minimum(true, 1)
+    found = search._split_labels([background, joint], 5)
     assert len(found) == 3
     for label in (1, 2):
         distances = [np.median(search._distance(motion)[true == label]) for motion in found[1:]]
         assert min(distances) < 0.01 < max(distances)
-    assert len(search._split([background, joint], 2)) == 2
+    assert len(search._split_labels([background, joint], 2)) == 2
 
 
 def test_surfaces_are_continued_beyond_their_support(small):

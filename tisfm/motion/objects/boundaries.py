@@ -1,4 +1,4 @@
-"""Boundaries between labels, exact to the pixel: the surface that the images show on each side."""
+"""Boundaries between labels, exact to the pixel, from the grey levels of both frames."""
 
 from collections.abc import Iterator
 from itertools import permutations
@@ -23,40 +23,40 @@ Corner = tuple[np.ndarray, np.ndarray]  # indices of pixels, and their weights
 def sharpen_labels(
     labels: np.ndarray,  # (H, W) int32
     flows: np.ndarray,  # (K, 2, H, W) float32: flow of each label's surface, at every pixel
-    allowed: np.ndarray,  # (K, H, W) bool: where a label is allowed
+    is_allowed: np.ndarray,  # (K, H, W) bool: whether a label is allowed at a pixel
     # frame0, frame1: (H, W) float32, grey levels
     frame0: np.ndarray,
     frame1: np.ndarray,
 ) -> np.ndarray:
     """Return labels whose boundaries are exact to the pixel, (H, W) int32.
 
-    Layers are separated by windows, which reach over boundaries. Here, a pixel near a boundary is
-    assigned by its own grey level in both frames, without smoothing, under the flow of every label
-    nearby. A pixel of a surface in the background may be occluded in frame 1: if its flow leads to
-    the target of a surface in front, its grey level counts little. A surface in front cannot be
-    where a surface behind it is still visible. Where two surfaces go to the same target, the one
-    whose grey levels match there is in front.
+    Layers are separated by windows, which reach over boundaries. Here, a pixel near a boundary (a
+    free pixel) is assigned by its grey level in both frames, without smoothing, under the flow of
+    every label nearby. A pixel of a surface in the background may be occluded in frame 1: if its
+    flow leads to the target of a surface in front, its grey level counts little. A surface in front
+    cannot be where a surface behind it is visible. Where two surfaces have the same target, the
+    surface whose grey levels match there is in front.
     """
     window = np.ones(
         (2 * OBJECTS.max_boundary_shift + 1, 2 * OBJECTS.max_boundary_shift + 1), np.uint8
     )
-    nearby = np.stack(
+    is_nearby = np.stack(
         [cv2.dilate((labels == k).astype(np.uint8), window) > 0 for k in range(len(flows))]
     )
-    is_free = nearby.sum(axis=0) > 1
+    is_free = is_nearby.sum(axis=0) > 1
     if not is_free.any():
         return labels
     costs, own_cost, hidden = _label_costs(flows, labels, frame0, frame1, is_free)
-    forbidden = ~(nearby & allowed)[:, is_free]
+    is_forbidden = ~(is_nearby & is_allowed)[:, is_free]
     size = np.add(is_free.shape, TARGET_MARGIN)
-    targets = [list(_corners(_targets(np.nan_to_num(flow))[:, is_free], *size)) for flow in flows]
+    corners = [list(_corners(_targets(np.nan_to_num(flow))[:, is_free], *size)) for flow in flows]
     boundaries = MinSum(
         is_free, frame0, length=OBJECTS.boundary_cost, image_edges=OBJECTS.image_edges
     )
     for _ in range(OBJECTS.boundary_rounds):
         sums = _sums_at_targets(labels, flows, own_cost, hidden)
-        unary = _costs_with_occlusion(costs, hidden[is_free], sums, targets)
-        unary[forbidden] = FORBIDDEN_COST
+        unary = _costs_with_occlusion(costs, hidden[is_free], sums, corners)
+        unary[is_forbidden] = FORBIDDEN_COST
         labels = labels.copy()
         labels[is_free] = boundaries.assign(unary, labels)
         own_cost[is_free] = np.take_along_axis(costs, labels[is_free][None], axis=0)[0]
@@ -70,12 +70,12 @@ def _label_costs(
     frame1: np.ndarray,
     is_free: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the costs of visible labels at free pixels, of each pixel's own label, and if hidden.
+    """Return the costs of visible labels at free pixels, of own labels, and of occluded pixels.
 
     A visible pixel costs −log of a normal distribution of grey levels over a uniform one, from 0 to
     `max_grey_cost`; objects that are not quite rigid have more noise. A label whose flow leaves the
-    image takes the least cost of the others. An occluded pixel costs less the more uniform its
-    neighbourhood is.
+    image takes the least cost of the other labels. An occluded pixel costs less in a more uniform
+    neighbourhood.
 
     Returns three costs, float32: of every label at the free pixels, (K, N); of the own label of
     each pixel, (H, W); and of an occluded pixel, (H, W).
@@ -143,34 +143,35 @@ def _variance(frame: np.ndarray) -> np.ndarray:
 
 
 def _costs_with_occlusion(
-    costs: np.ndarray, hidden: np.ndarray, sums: np.ndarray, targets: list[list[Corner]]
+    costs: np.ndarray, hidden: np.ndarray, sums: np.ndarray, corners: list[list[Corner]]
 ) -> np.ndarray:
     """Return the costs of the free pixels, (K, N) float32, with occlusion of labels by others.
 
-    `costs`, (K, N), are those of visible labels, `hidden`, (N,), those of occluded ones; `sums` are
-    those of `_sums_at_targets`, and `targets` the targets of the pixels under every label.
+    `costs`, (K, N), are the costs of visible labels, `hidden`, (N,), the costs of occluded pixels,
+    `sums` the sums of `_sums_at_targets`, and `corners` the targets of the pixels under each label.
     """
     unary = costs.copy()
     counts, costs_at_targets, hidden_gains = sums
     hidden_share = np.zeros_like(unary)
-    for front, behind in permutations(range(len(costs)), 2):
-        in_front = _in_front(counts[[front, behind]], costs_at_targets[[front, behind]])
-        if in_front.any():
-            cover = in_front * (2 * counts[front] - 1).clip(0, 1)
+    for front, back in permutations(range(len(costs)), 2):
+        is_in_front = _find_order(counts[[front, back]], costs_at_targets[[front, back]])
+        if is_in_front.any():
+            cover = is_in_front * (2 * counts[front] - 1).clip(0, 1)
             np.maximum(
-                hidden_share[behind], _interpolate(cover, targets[behind]), out=hidden_share[behind]
+                hidden_share[back], _interpolate(cover, corners[back]), out=hidden_share[back]
             )
-            # The label in front would occlude the pixels that are visible behind it.
-            unary[front] += _interpolate(in_front * hidden_gains[behind], targets[front])
+            # The front label would occlude visible pixels of the back label.
+            unary[front] += _interpolate(is_in_front * hidden_gains[back], corners[front])
     return -np.log(
         (1 - hidden_share) * np.exp(-np.minimum(unary, MAX_COST)) + hidden_share * np.exp(-hidden)
     )
 
 
-def _in_front(counts: np.ndarray, costs: np.ndarray) -> np.ndarray:
+def _find_order(counts: np.ndarray, costs: np.ndarray) -> np.ndarray:
     """Return the pixels of frame 1 where the first of two labels is in front of the second.
 
-    Both labels go there, and in the window around, the grey levels of the second match worse.
+    Both labels have targets there, and in the window around the pixel the grey levels of the second
+    label match worse.
     """
     is_common = ((counts > 0.5).all(axis=0)).astype(np.float32)
     excess = is_common * (
@@ -199,7 +200,7 @@ def _sums_at_targets(
     """Return sums over the pixels of each label at their targets, (3, K, H + 3, W + 3) float32.
 
     The sums are the number of pixels, their cost, and the additional cost if they were occluded,
-    with bilinear weights. The margin takes pixels that leave the image.
+    with bilinear weights. The margin contains the targets outside the image.
     """
     height, width = np.add(labels.shape, TARGET_MARGIN)
     targets, count = _targets(_flow_of_labels(flows, labels)), len(flows)
@@ -207,8 +208,8 @@ def _sums_at_targets(
     rows = max(1, STRIP_PIXELS // labels.shape[1])
     for label in range(count):
         sums = np.zeros((3, height * width))
-        for first in range(0, len(labels), rows):
-            strip = np.s_[first : first + rows]
+        for first_row in range(0, len(labels), rows):
+            strip = np.s_[first_row : first_row + rows]
             is_label = labels[strip] == label
             if not is_label.any():
                 continue
@@ -235,7 +236,7 @@ def _corners(targets: np.ndarray, height: int, width: int) -> Iterator[Corner]:
     """Yield the four pixels around targets, as indices of an image with margins, and weights."""
     x, y = targets[0].clip(-1, width - 3) + 1, targets[1].clip(-1, height - 3) + 1
     left, top = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
-    right, down = (x - left).astype(np.float32), (y - top).astype(np.float32)
-    for row, row_weight in ((top, 1 - down), (top + 1, down)):
-        yield row * width + left, row_weight * (1 - right)
-        yield row * width + left + 1, row_weight * right
+    fraction_x, fraction_y = (x - left).astype(np.float32), (y - top).astype(np.float32)
+    for row, row_weight in ((top, 1 - fraction_y), (top + 1, fraction_y)):
+        yield row * width + left, row_weight * (1 - fraction_x)
+        yield row * width + left + 1, row_weight * fraction_x

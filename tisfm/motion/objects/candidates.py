@@ -23,11 +23,11 @@ def motion_candidates(
     camera: Camera,
     frame: np.ndarray,  # (H, W) float32: grey levels, for the boundaries
     background: np.ndarray,  # (3, 4) array: R and t of the largest motion
-    residual: float,  # its residual, px
+    residual: float,  # residual of the background's motion, px
     *,
     max_motions: int,  # largest number of motions
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Find motions one after another, each in the pixels that the previous ones do not explain.
+    """Find motions one after another, each in the pixels that previous motions do not explain.
 
     The cost of a pixel is the distance of its flow from the half line of flows that a motion allows
     at depths in front of the camera. A further label stands for pixels that no motion explains; its
@@ -41,7 +41,7 @@ def motion_candidates(
     ratio = size[0] / width
     small_flow = cv2.resize(flow, size, interpolation=cv2.INTER_AREA) * np.float32(ratio)
     small_trust = cv2.resize(trust, size, interpolation=cv2.INTER_AREA)
-    # The rounding of the size shifts a pixel by a fraction of one; motions hardly change.
+    # The rounding of the size shifts an image by a fraction of a pixel; motions hardly change.
     search = _CandidateSearch(
         small_flow,
         small_trust,
@@ -58,7 +58,7 @@ def motion_candidates(
 
 
 class _CandidateSearch:
-    """A flow field, and the motions found in it so far."""
+    """The search for motions in a flow field."""
 
     def __init__(
         self,
@@ -80,86 +80,86 @@ class _CandidateSearch:
         motions = [self._background]
         is_tried = np.zeros(self._trust.shape, bool)
         for _ in range(3 * max_motions):
-            labels = self._labels(motions, unexplained=True)
+            labels = self._assign_labels(motions, unexplained=True)
             part = _largest_part((labels == len(motions)) & ~is_tried)
             if len(motions) == max_motions or part.sum() < self.min_size:
                 break
-            motion = self._fit(part)
-            extended = None if motion is None else self._add_motion(motions, motion, part)
-            if extended is None:
+            motion = self._fit_motion(part)
+            new_motions = None if motion is None else self._add_motion(motions, motion, part)
+            if new_motions is None:
                 is_tried |= part
             else:
-                motions = extended
-        motions = self._split(motions, max_motions)
-        return motions, self._labels(motions)
+                motions = new_motions
+        motions = self._split_labels(motions, max_motions)
+        return motions, self._assign_labels(motions)
 
-    def _split(self, motions: list[np.ndarray], max_motions: int) -> list[np.ndarray]:
+    def _split_labels(self, motions: list[np.ndarray], max_motions: int) -> list[np.ndarray]:
         """Give separate parts of a label their own motions if these fit clearly better.
 
-        One motion with free depths often explains two objects that move only roughly alike. It is
-        mostly that of the largest part, so own motions are tried for the other parts.
+        One motion with free depths often explains two objects that move only roughly alike. Mostly
+        it is the motion of the largest part, so the other parts try motions of their own.
         """
-        labels = self._labels(motions)
-        added: list[np.ndarray] = []
+        labels = self._assign_labels(motions)
+        new_motions: list[np.ndarray] = []
         for label in range(1, len(motions)):
             parts = sorted(_parts(labels == label, self.min_size), key=np.sum)
-            joint = self._fit(np.any(parts, axis=0)) if len(parts) > 1 else None
-            if joint is None:
+            joint_motion = self._fit_motion(np.any(parts, axis=0)) if len(parts) > 1 else None
+            if joint_motion is None:
                 continue
-            joint_distance = self._distance(joint)
+            joint_distance = self._distance(joint_motion)
             rest_mask = np.any(parts, axis=0)
             for part in parts[:-1]:
-                own_motion = self._fit(part)
-                if own_motion is None or len(motions) + len(added) == max_motions:
+                part_motion = self._fit_motion(part)
+                if part_motion is None or len(motions) + len(new_motions) == max_motions:
                     continue
-                own_distance = self._distance(own_motion)
-                if np.median(own_distance[part]) < OBJECTS.max_split_ratio * np.median(
+                part_distance = self._distance(part_motion)
+                if np.median(part_distance[part]) < OBJECTS.max_split_ratio * np.median(
                     joint_distance[part]
                 ):
-                    added.append(own_motion)
+                    new_motions.append(part_motion)
                     rest_mask &= ~part
-            rest_motion = self._fit(rest_mask)
-            motions[label] = joint if rest_motion is None else rest_motion
-        return motions + added
+            rest_motion = self._fit_motion(rest_mask)
+            motions[label] = joint_motion if rest_motion is None else rest_motion
+        return motions + new_motions
 
     def _add_motion(
         self, motions: list[np.ndarray], motion: np.ndarray, part: np.ndarray
     ) -> list[np.ndarray] | None:
-        """Return all motions and one more, refitted to their pixels; None if it explains few."""
+        """Return the motions with a new motion, all refitted; None if it explains few pixels."""
         is_explained = (
             self._distance(motion) < self._max_error * OBJECTS.unexplained_errors
         ) & part
         if is_explained.sum() < max(OBJECTS.min_explained_share * part.sum(), self.min_size):
             return None
         motions = [*motions, motion]
-        labels = self._labels(motions)
-        refitted = []
+        labels = self._assign_labels(motions)
+        refitted_motions = []
         for label, motion in enumerate(motions):
             is_label = labels == label
             if label == 0 and not motion[:, 3].any():
-                refitted.append(motion)  # a background at rest
+                refitted_motions.append(motion)  # a background at rest
             elif label == 0 or is_label.sum() >= self.min_size:
-                new_motion = self._fit(is_label)
-                refitted.append(motion if new_motion is None else new_motion)
-        return refitted if len(refitted) == len(motions) else None
+                new_motion = self._fit_motion(is_label)
+                refitted_motions.append(motion if new_motion is None else new_motion)
+        return refitted_motions if len(refitted_motions) == len(motions) else None
 
-    def _fit(self, mask: np.ndarray) -> np.ndarray | None:
+    def _fit_motion(self, mask: np.ndarray) -> np.ndarray | None:
         try:
             motion = camera_motion(self._flow, self._trust * mask, self._camera)
         except TooFewPixelsError:
             return None
-        # No object spins faster between frames: such a motion fits noise.
-        spin = Rotation.from_matrix(motion.rotation @ self._background[:, :3].T).magnitude()
-        if spin > OBJECTS.max_rotation:
+        # No object rotates faster: such a motion fits noise.
+        angle = Rotation.from_matrix(motion.rotation @ self._background[:, :3].T).magnitude()
+        if angle > OBJECTS.max_rotation:
             return None
         return np.column_stack([motion.rotation, motion.translation])
 
-    def _labels(self, motions: list[np.ndarray], *, unexplained: bool = False) -> np.ndarray:
+    def _assign_labels(self, motions: list[np.ndarray], *, unexplained: bool = False) -> np.ndarray:
         costs = [(self._distance(motion) / self._max_error) ** 2 for motion in motions]
         if unexplained:
             costs.append(np.full(self._trust.shape, OBJECTS.unexplained_errors**2))
-        stacked = np.minimum(np.stack(costs), 4 * OBJECTS.unexplained_errors**2)
-        return self._potts.assign(stacked.astype(np.float32), self._weight)
+        limited_costs = np.minimum(np.stack(costs), 4 * OBJECTS.unexplained_errors**2)
+        return self._potts.assign(limited_costs.astype(np.float32), self._weight)
 
     def _distance(self, motion: np.ndarray) -> np.ndarray:
         """Return the distance of the flow from targets of points in front of the camera, px."""
@@ -182,19 +182,19 @@ class _CandidateSearch:
 
 
 def smallest_object(pixels: int) -> int:
-    """Return the fewest pixels of an object, in an image of so many pixels."""
+    """Return the number of pixels of the smallest object, in an image of `pixels` pixels."""
     return max(64, round(OBJECTS.min_object_share * pixels))
 
 
 def _parts(mask: np.ndarray, min_size: int) -> list[np.ndarray]:
     """Return the connected parts of a mask with at least `min_size` pixels."""
     count, parts = cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)
-    each = (parts == index for index in range(1, count))
-    return [part for part in each if part.sum() >= min_size]
+    masks = (parts == index for index in range(1, count))
+    return [part for part in masks if part.sum() >= min_size]
 
 
 def _largest_part(mask: np.ndarray) -> np.ndarray:
-    """Return the largest connected part of a mask; empty if there is none."""
+    """Return the largest connected part of a mask; it is empty if the mask is empty."""
     count, parts, statistics, _ = cv2.connectedComponentsWithStats(
         mask.astype(np.uint8), connectivity=4
     )
@@ -208,17 +208,17 @@ MAX_PARTS = 255  # floating parts, numbered in uint8
 
 def floating_parts(
     inverse_depth: np.ndarray,  # (H, W) float32: in any unit; positive before the camera
-    deviation: np.ndarray,  # (H, W) float32: its standard deviation
+    deviation: np.ndarray,  # (H, W) float32: standard deviation of `inverse_depth`
     min_size: int,  # fewest pixels of a part
 ) -> np.ndarray:  # (H, W) int32: parts in order of size, the largest first
     """Return the connected parts of a depth map that float, numbered from 1; 0 elsewhere.
 
     From each point of a standing object, a path over the object and the ground leads to the border
     of the image, and no point of the path is much farther away than the first. Morphological
-    reconstruction by dilation from the border gives the farthest point of the best path: it is the
+    reconstruction by dilation from the border gives the farthest point of the best path: the
     inverse depth with all domes cut off. A part floats if its inverse depth is `min_nearness_ratio`
     times as large, by lower and upper limits of `depth_deviations` deviations, and if the ground
-    below it comes nearer or at least does not recede. Objects that touch the border never float.
+    below the part comes nearer or stays as far away. Objects that touch the border never float.
     Objects that hang from above, or are tall and seen from straight above, wrongly seem to float.
 
     References
@@ -250,15 +250,15 @@ def floating_parts(
     parts *= is_in_front
     areas = np.bincount(parts.ravel())
     areas[0] = 0
-    floating = np.zeros(parts.shape, np.uint8)
+    numbers = np.zeros(parts.shape, np.uint8)
     for part in np.argsort(-areas, kind="stable"):
         is_part = parts == part
-        if areas[part] < min_size * scale**2 or floating.max() == MAX_PARTS:
+        if areas[part] < min_size * scale**2 or numbers.max() == MAX_PARTS:
             break
         ground = upper_limit[-OBJECTS.ground_rows :, is_part.any(axis=0)]
         if np.median(ground) >= OBJECTS.min_ground_ratio * np.median(surroundings[is_part]):
-            floating[is_part] = floating.max() + 1
-    return cv2.resize(floating, (width, height), interpolation=cv2.INTER_NEAREST).astype(np.int32)
+            numbers[is_part] = numbers.max() + 1
+    return cv2.resize(numbers, (width, height), interpolation=cv2.INTER_NEAREST).astype(np.int32)
 
 
 def without_domes(

@@ -34,30 +34,30 @@ def restore_diverged_depth(
     settings: Settings,
     motions: np.ndarray,  # (K, 3, 4) array: R and t of each motion, the largest label's first
     labels: np.ndarray,  # (H, W) int32
-    expected: np.ndarray,  # (2, H, W) float32: flow of the layers
-    estimate_of: Callable[[RigidSolution], Estimate],  # returns the estimate of a solution
+    expected_flow: np.ndarray,  # (2, H, W) float32: flow of the layers
+    estimate_solution: Callable[[RigidSolution], Estimate],  # returns the estimate of a solution
 ) -> tuple[RigidSolution, Estimate]:  # the solution and its estimate
     """Estimate motions and depth of several labels, and restore diverged labels and pixels.
 
     A label whose flow diverges keeps the motion and the depth of its layer; the largest label is
-    never restored. If few pixels diverge, they take the depth of the nearest good pixels of their
-    label, or 0 if there are none. The precision of restored pixels is computed anew.
+    never restored. If few pixels diverge, they take the depth of the nearest other pixels of their
+    label, or 0 if their label has none. The precision of restored pixels is computed anew.
     """
     side = max(labels.shape)
     solution = rigid_depth(pyramid, settings, motions, labels)
-    estimate = estimate_of(solution)
-    difference = _flow_difference(estimate, expected)
-    diverged = [
+    estimate = estimate_solution(solution)
+    difference = _flow_difference(estimate, expected_flow)
+    diverged_labels = [
         label
         for label in range(1, len(motions))
         if np.median(difference[labels == label]) > OBJECTS.max_label_difference * side
     ]
-    is_restored = np.isin(labels, diverged)
-    if diverged:
+    is_restored = np.isin(labels, diverged_labels)
+    if diverged_labels:
         solution = _restore_layers(
-            solution, motions, labels, expected, diverged, pyramid.cameras[0]
+            solution, motions, labels, expected_flow, diverged_labels, pyramid.cameras[0]
         )
-        difference = _flow_difference(estimate_of(solution), expected)
+        difference = _flow_difference(estimate_solution(solution), expected_flow)
     is_diverged = difference > OBJECTS.max_pixel_difference * side
     if 0 < is_diverged.mean() <= OBJECTS.max_diverged_share:
         depth = solution.inverse_depth.copy()
@@ -71,7 +71,7 @@ def restore_diverged_depth(
     if not is_restored.any():
         return solution, estimate
     solution = _update_precision(pyramid, settings, solution, labels, is_restored)
-    return solution, estimate_of(solution)
+    return solution, estimate_solution(solution)
 
 
 def _update_precision(
@@ -92,23 +92,25 @@ def _restore_layers(
     solution: RigidSolution,
     motions: np.ndarray,
     labels: np.ndarray,
-    expected: np.ndarray,
-    diverged: list[int],
+    expected_flow: np.ndarray,
+    diverged_labels: list[int],
     camera: Camera,
 ) -> RigidSolution:
-    """Return a solution where the labels `diverged` have the motion and depth of their layers."""
+    """Return a solution whose diverged labels have the motion and depth of their layers."""
     restored_motions = solution.motions.copy()
-    restored_motions[diverged] = scaled_translations(motions, labels, camera)[diverged]
+    restored_motions[diverged_labels] = scaled_translations(motions, labels, camera)[
+        diverged_labels
+    ]
     depth = solution.inverse_depth.copy()
     cx, cy = camera.center_for(*labels.shape)
-    for label in diverged:
+    for label in diverged_labels:
         is_label = labels == label
         rows, columns = np.nonzero(is_label)
         positions = np.stack([columns - cx, rows - cy], axis=-1)
         ones = np.ones((len(positions), 1))
         before, after = (
             np.hstack([points / camera.focal, ones])
-            for points in (positions, positions + expected[:, is_label].T)
+            for points in (positions, positions + expected_flow[:, is_label].T)
         )
         rotation, translation = restored_motions[label, :, :3], restored_motions[label, :, 3]
         if translation.any():
@@ -116,10 +118,10 @@ def _restore_layers(
     return replace(solution, motions=restored_motions, inverse_depth=depth)
 
 
-def _flow_difference(estimate: Estimate, expected: np.ndarray) -> np.ndarray:
+def _flow_difference(estimate: Estimate, expected_flow: np.ndarray) -> np.ndarray:
     """Return the distance of every pixel's flow from the expected flow, (H, W), px."""
     with np.errstate(over="ignore", invalid="ignore"):
-        difference = np.hypot(*(estimate.flow - expected))
+        difference = np.hypot(*(estimate.flow - expected_flow))
     return np.where(np.isfinite(difference), difference, np.inf)
 
 
@@ -132,7 +134,7 @@ def carry_background_depth(
     # spoils the refined motion
     motion: np.ndarray,
 ) -> TexturelessSolution | None:
-    """Return a solution with carried depth of the background, if this is partly textureless.
+    """Return a solution with carried depth of the background, if the frame is partly textureless.
 
     Pixels of other labels keep their motion and depth. They are neither matched nor constrained
     under the background's motion.
@@ -145,50 +147,52 @@ def carry_background_depth(
         < DEPTH.min_textureless_share
     ):
         return None
-    background = labels == 0
-    low, high = np.percentile(solution.inverse_depth[background], DEPTH.range_percentiles)
+    is_background = labels == 0
+    low, high = np.percentile(solution.inverse_depth[is_background], DEPTH.range_percentiles)
     if not high - low >= DEPTH.min_carried_range * max(labels.shape):
         return None
-    core = (
+    interior = (
         cv2.erode(
-            background.astype(np.uint8),
+            is_background.astype(np.uint8),
             np.ones((OBJECTS.background_rim, OBJECTS.background_rim), np.uint8),
         )
         > 0
     )
     motions = solution.motions.copy()
     motions[0] = scaled_translations(motion[None], labels, pyramid.cameras[0])[0]
-    carried = textureless_depth(pyramid, settings, motions[0], support=core)
+    carried = textureless_depth(pyramid, settings, motions[0], support=interior)
     if carried is None:
         return None
     size = solution.precision.shape[:0:-1]
-    is_background = (
-        cv2.resize(background.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+    is_coarse_background = (
+        cv2.resize(is_background.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
     )
     solutions: list[RigidSolution] = [solution, carried]
     if labels.any() and not solution.converged:
         solutions.reverse()  # the last one gives the status of the iterations
-    first, last = solutions
+    other_solution, status_solution = solutions
     return TexturelessSolution(
         motions=motions,
-        inverse_depth=np.where(background, carried.inverse_depth, solution.inverse_depth),
-        precision=np.where(is_background, _resize_precision(carried, solution), solution.precision),
+        inverse_depth=np.where(is_background, carried.inverse_depth, solution.inverse_depth),
+        precision=np.where(
+            is_coarse_background, _resize_precision(carried, solution), solution.precision
+        ),
         level=solution.level,
         density=solution.density,
-        history=first.history + last.history,
-        converged=last.converged,
-        is_limit_adjustable=last.is_limit_adjustable,
-        carried_deviation=np.where(background, carried.deviation(), solution.deviation()),
+        history=other_solution.history + status_solution.history,
+        converged=status_solution.converged,
+        is_limit_adjustable=status_solution.is_limit_adjustable,
+        carried_deviation=np.where(is_background, carried.deviation(), solution.deviation()),
     )
 
 
-def _resize_precision(carried: TexturelessSolution, other: RigidSolution) -> np.ndarray:
-    """Return the precision of one solution on the level of another, (7, h, w) float32."""
-    if carried.level == other.level:
+def _resize_precision(carried: TexturelessSolution, target: RigidSolution) -> np.ndarray:
+    """Return the precision of `carried` on the level of `target`, (7, h, w) float32."""
+    if carried.level == target.level:
         return carried.precision
-    size = other.precision.shape[:0:-1]
-    area = np.float32((carried.density / other.density) ** 2)  # ratio of px² of both levels
-    units = (area, area, area, 1 / area, 1 / area, 1 / area, 1 / area)
+    size = target.precision.shape[:0:-1]
+    ratio = np.float32((carried.density / target.density) ** 2)  # ratio of px² of both levels
+    units = (ratio, ratio, ratio, 1 / ratio, 1 / ratio, 1 / ratio, 1 / ratio)
     channels = zip(carried.precision, units, strict=True)
     return np.stack([cv2.resize(channel, size) * unit for channel, unit in channels])
 
@@ -201,12 +205,12 @@ def align_scales(
 
     From motion alone, every object has a scale of its own. In each column of an object, the lowest
     pixel counts as a contact if it is in the lower half of the object's rows and the background is
-    below it. Object and background are assumed equally far away there. The object's scale is the
-    median ratio over the columns. Objects without contact keep their own scale, and so do all
-    objects if the background has no depth.
+    below it. At a contact, object and background are assumed equally far away. The object's scale
+    is the median ratio over the columns. Objects without contact keep their own scale, and so do
+    all objects if the background has no depth.
 
-    Inverse depth, its deviation and T of the objects get the unit of the background, so the length
-    of the T of an object is no longer 1.
+    Inverse depth, its deviation and T of an object get the unit of the background, so ‖T‖ of an
+    object differs from 1.
     """
     motions, labels = estimate.motions, estimate.labels
     if motions is None or labels is None or estimate.inverse_depth_std is None:
@@ -218,12 +222,12 @@ def align_scales(
             scales[label] = scale
     twists = motions.copy()
     twists[:, :3] /= scales[:, None]
-    per_pixel = scales.astype(np.float32)[labels]
+    pixel_scales = scales.astype(np.float32)[labels]
     return replace(
         estimate,
         motions=twists,
-        inverse_depth=estimate.inverse_depth * per_pixel,
-        inverse_depth_std=estimate.inverse_depth_std * per_pixel,
+        inverse_depth=estimate.inverse_depth * pixel_scales,
+        inverse_depth_std=estimate.inverse_depth_std * pixel_scales,
     )
 
 
@@ -234,29 +238,33 @@ def contact_scale(
     hidden: np.ndarray,  # (H, W) bool: pixels whose depth is not used
     label: int,  # the object's label
 ) -> float | None:
-    """Return the ratio of background's to object's inverse depth at contacts, None without them."""
+    """Return inverse depth of the background over that of the object at contacts; None without."""
     height = len(labels)
     is_object = labels == label
     columns = np.flatnonzero(is_object.any(axis=0))
     if not len(columns):
         return None
     rows = np.flatnonzero(is_object.any(axis=1))
-    lowest = height - 1 - is_object[::-1].argmax(axis=0)[columns]
-    above, below = lowest - OBJECTS.contact_distance, lowest + OBJECTS.contact_distance
+    bottom = height - 1 - is_object[::-1].argmax(axis=0)[columns]
+    object_rows, floor_rows = bottom - OBJECTS.contact_distance, bottom + OBJECTS.contact_distance
     is_low = (
-        (lowest >= rows[0] + OBJECTS.min_contact_height * (rows[-1] - rows[0]))
-        & (below < height)
-        & (above >= 0)
+        (bottom >= rows[0] + OBJECTS.min_contact_height * (rows[-1] - rows[0]))
+        & (floor_rows < height)
+        & (object_rows >= 0)
     )
-    columns, above, below = columns[is_low], above[is_low], below[is_low]
-    is_contact = (labels[below, columns] == 0) & is_object[above, columns]
-    is_contact &= ~hidden[below, columns] & ~hidden[above, columns]
-    columns, above, below = columns[is_contact], above[is_contact], below[is_contact]
+    columns, object_rows, floor_rows = columns[is_low], object_rows[is_low], floor_rows[is_low]
+    is_contact = (labels[floor_rows, columns] == 0) & is_object[object_rows, columns]
+    is_contact &= ~hidden[floor_rows, columns] & ~hidden[object_rows, columns]
+    columns, object_rows, floor_rows = (
+        columns[is_contact],
+        object_rows[is_contact],
+        floor_rows[is_contact],
+    )
     # Double precision avoids overflow of the quotient.
     object_depth, background_depth = (
-        inverse_depth[rows, columns].astype(float) for rows in (above, below)
+        inverse_depth[rows, columns].astype(float) for rows in (object_rows, floor_rows)
     )
-    is_known = (object_depth != 0) & np.isfinite(object_depth) & np.isfinite(background_depth)
-    ratio = background_depth[is_known] / object_depth[is_known]
+    is_usable = (object_depth != 0) & np.isfinite(object_depth) & np.isfinite(background_depth)
+    ratio = background_depth[is_usable] / object_depth[is_usable]
     ratio = ratio[ratio > 0]
     return float(np.median(ratio)) if len(ratio) >= OBJECTS.min_contact_columns else None

@@ -42,7 +42,7 @@ def objects_estimate(
     pixels are restored (`restore_diverged_depth`). If much of the frame has no texture, depth of
     the background is carried across (`carry_background_depth`).
     """
-    # A wrong label is worse than a wrong depth, so flow and surfaces get more iterations.
+    # A wrong label is worse than wrong depth, so flow and surfaces get more iterations.
     settings = replace(
         settings,
         finest_level=0,
@@ -61,7 +61,7 @@ def objects_estimate(
         assert start.status is not None
         return first_motion_estimate(pyramid, settings, start, start.status, level=0)
     level = start.level
-    layers = _layers(pyramid, settings, grey0, start)
+    layers = _estimate_layers(pyramid, settings, grey0, start)
     motions = layers.motions
     hidden = _resize_labels(layers.hidden, pyramid.shape)
     labels, flows = _sharpen_levels(pyramid, level, layers, grey0, grey1, start.residual)
@@ -71,13 +71,13 @@ def objects_estimate(
     order = np.argsort(-areas, kind="stable")[: np.count_nonzero(areas)]
     rank = np.zeros(len(motions), np.int32)
     rank[order] = np.arange(len(order))
-    expected = np.take_along_axis(flows, labels[None, None], axis=0)[0]
+    expected_flow = np.take_along_axis(flows, labels[None, None], axis=0)[0]
     labels = rank[labels]
     # Next to objects with reliable depth, rough depth of the background is left out.
     is_rough = start.status is not None or (len(order) > 1 and start.doubt == "uncertain")
     hidden_label = int(rank[0]) if is_rough and areas[0] else None
 
-    def estimate_of(solution: RigidSolution) -> Estimate:
+    def estimate_solution(solution: RigidSolution) -> Estimate:
         return make_estimate(solution, labels, camera, settings, hidden_label=hidden_label)
 
     solution, estimate = restore_diverged_depth(
@@ -90,12 +90,12 @@ def objects_estimate(
         ),
         np.stack([motions[k] for k in order]),
         labels,
-        expected,
-        estimate_of,
+        expected_flow,
+        estimate_solution,
     )
     if hidden_label != 0:
         carried = carry_background_depth(pyramid, settings, solution, labels, motions[order[0]])
-        estimate = estimate if carried is None else estimate_of(carried)
+        estimate = estimate if carried is None else estimate_solution(carried)
     history = start.history + estimate.history
     estimate = replace(estimate, history=history, uses_matches=start.uses_matches)
     if len(order) == 1 and start.doubt is not None:
@@ -103,23 +103,25 @@ def objects_estimate(
     return align_scales(estimate, hidden) if settings.align_scales else estimate
 
 
-def _layers(
+def _estimate_layers(
     pyramid: ImagePyramid, settings: Settings, grey0: np.ndarray, start: FirstMotion
 ) -> Layers:
     """Return the layers on the level of a flow field: motions and rough labels."""
-    coarse, scale = pyramid.coarser(start.level), pyramid.scales[start.level]
-    frame = coarse.frames0[0] if start.level else grey0  # grey0 is sharper
-    hidden = occlusion_in(coarse, np.ascontiguousarray(np.moveaxis(start.flow, -1, 0)), settings)
+    coarse_pyramid, scale = pyramid.coarser(start.level), pyramid.scales[start.level]
+    frame = coarse_pyramid.frames0[0] if start.level else grey0  # `grey0` is sharper
+    hidden = occlusion_in(
+        coarse_pyramid, np.ascontiguousarray(np.moveaxis(start.flow, -1, 0)), settings
+    )
     motions, labels = motion_candidates(
         start.flow,
         np.where(hidden, 0, start.trust),
-        coarse.cameras[0],
+        coarse_pyramid.cameras[0],
         frame,
         start.matrix,
         start.residual * scale,
         max_motions=settings.max_objects,
     )
-    layering = Layering(coarse, settings, frame, density=scale)
+    layering = Layering(coarse_pyramid, settings, frame, density=scale)
     layers = layering.fit(motions, labels, hidden)
     if len(motions) > 1:
         layers = layering.prune(layers)
@@ -150,11 +152,11 @@ def _sharpen_levels(
         if k < level:
             labels = _resize_labels(labels, shape)
             flows = _resize_flows(flows, shape, pyramid.scales[k] / pyramid.scales[k + 1])
-        allowed = np.stack([_resize_labels(where, shape) for where in layers.allowed])
+        is_allowed = np.stack([_resize_labels(mask, shape) for mask in layers.is_allowed])
         min_size = smallest_object(labels.size)
         frames = (grey0, grey1) if k == 0 else (pyramid.frames0[k], pyramid.frames1[k])
         labels = remove_specks(labels, min_size)
-        labels = remove_specks(sharpen_labels(labels, flows, allowed, *frames), min_size)
+        labels = remove_specks(sharpen_labels(labels, flows, is_allowed, *frames), min_size)
     return labels, flows
 
 
@@ -162,8 +164,8 @@ def _resize_labels(image: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """Return labels or a mask on another level, (h, w), by nearest neighbours."""
     if image.shape == shape:
         return image
-    small = image.astype(np.uint8)
-    return cv2.resize(small, shape[::-1], interpolation=cv2.INTER_NEAREST).astype(image.dtype)
+    label_image = image.astype(np.uint8)
+    return cv2.resize(label_image, shape[::-1], interpolation=cv2.INTER_NEAREST).astype(image.dtype)
 
 
 def _resize_flows(flows: np.ndarray, shape: tuple[int, ...], ratio: float) -> np.ndarray:
@@ -197,18 +199,18 @@ def wide_baseline_motion(
     """Return a first motion and a flow field for frames where a flow field alone fails.
 
     Matches give the rotation of the camera. Frame 1 is resampled without this rotation. Then it
-    differs from frame 0 only by parallax and moving objects, which a flow field shows. Pixels that
-    frame 1 does not see do not count. If this flow field fails as well, the result is the motion
-    of the matches and its flow.
+    differs from frame 0 only by parallax and moving objects, which a flow field shows. The flow of
+    pixels outside frame 1 is not trusted. If this flow field fails as well, the result is the
+    motion of the matches and its flow.
     """
     sparse = sparse_start(pyramid, start.level, None)
     if sparse is None:
         return start
-    matched = motion_from_matches(start, sparse)
-    if matched.status == "unrelated":
-        return matched
+    matched_motion = motion_from_matches(start, sparse)
+    if matched_motion.status == "unrelated":
+        return matched_motion
     camera = pyramid.cameras[0]
-    homography = _rotation_homography(matched.rotation, camera, *grey0.shape)
+    homography = _rotation_homography(matched_motion.rotation, camera, *grey0.shape)
     rotated1 = cv2.warpPerspective(
         grey1,
         homography,
@@ -235,11 +237,11 @@ def wide_baseline_motion(
         hidden=hidden,
     )
     if flow_motion.status in ("unrelated", "no_texture", "aperture"):
-        return matched
+        return matched_motion
     flow = cv2.perspectiveTransform(positions + flow_motion.flow, homography) - positions
     status = flow_motion.status
     if status == "no_motion":
-        # The original frame 1 did move: the camera turned.
+        # The original frame 1 shows motion: the camera rotated.
         status = Status(
             "pure_rotation",
             "too little parallax for depth: the camera only rotated; move the camera between "
@@ -247,12 +249,12 @@ def wide_baseline_motion(
         )
     return replace(
         flow_motion,
-        rotation=matched.rotation @ flow_motion.rotation,
-        translation=matched.rotation @ flow_motion.translation,
+        rotation=matched_motion.rotation @ flow_motion.rotation,
+        translation=matched_motion.rotation @ flow_motion.translation,
         status=status,
         flow=flow,
         trust=np.where(leaves_image(np.moveaxis(flow, -1, 0)), 0, flow_motion.trust),
-        history=matched.history + flow_motion.history,
+        history=matched_motion.history + flow_motion.history,
         uses_matches=True,
     )
 
@@ -260,18 +262,18 @@ def wide_baseline_motion(
 def _rotated_valid_pixels(
     pyramid: ImagePyramid, homography: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the pixels of frame 0 and of the turned frame 1 that count; None for all."""
+    """Return the used pixels of frame 0 and of the rotated frame 1; None for all."""
     if pyramid.masks is None:
         return None
     valid0, valid1 = pyramid.masks.original
-    rotated = cv2.warpPerspective(
+    rotated_valid1 = cv2.warpPerspective(
         valid1.astype(np.float32),
         homography,
         valid0.shape[::-1],
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_REPLICATE,
     )
-    return valid0, rotated == 1
+    return valid0, rotated_valid1 == 1
 
 
 def _rotation_homography(

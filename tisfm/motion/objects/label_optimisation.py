@@ -24,8 +24,6 @@ POTTS_SMOOTHNESS = Smoothness(
     joint=True,
     image_edges=5.0,  # boundaries lie on edges of the image
 )
-
-
 POTTS_EFFORT = Effort(
     outer_iterations=12, sweeps=10, relaxation=1.9, tolerance=5e-3, solver="cholesky"
 )
@@ -34,10 +32,10 @@ POTTS_EFFORT = Effort(
 class Potts:
     """Assigns labels by a convex relaxation of the Potts model.
 
-    The share of every label is exp(−cost/2), normalised over labels. The solver of the
-    interpretation smooths it: the energy is the weighted squared distance from the share plus the
-    edge-preserving regularisation, which edges of the image interrupt. Each pixel takes the label
-    of the largest smoothed share.
+    The share of every label is exp(−cost/2), normalised over labels. The half-quadratic solver
+    smooths the share: the energy is the weighted squared distance from the share plus an
+    edge-preserving regularisation, which is weaker across contours of the image. Each pixel takes
+    the label of the largest smoothed share.
 
     References
     ----------
@@ -72,8 +70,8 @@ class Potts:
         shares /= shares.sum(axis=0)
         if len(costs) == 2:  # the second share is 1 minus the first
             return (self._smooth_share(shares[0], weight) < 0.5).astype(np.int32)
-        smoothed = np.stack([self._smooth_share(share, weight) for share in shares])
-        return smoothed.argmax(axis=0).astype(np.int32)
+        smooth_shares = np.stack([self._smooth_share(share, weight) for share in shares])
+        return smooth_shares.argmax(axis=0).astype(np.int32)
 
     def _smooth_share(self, share: np.ndarray, weight: np.ndarray) -> np.ndarray:
         grid = self._grid
@@ -81,9 +79,9 @@ class Potts:
         unknowns.edges = self._edges
         unknowns.set_images(share[None].astype(np.float32))
         # weight · (p − share)² as a constraint on the flow (p, 0).
-        root = np.sqrt(weight).astype(np.float32)
+        root_weight = np.sqrt(weight).astype(np.float32)
         constraints = grid.allocate(3)
-        for component, values in ((0, root), (2, -root * share)):
+        for component, values in ((0, root_weight), (2, -root_weight * share)):
             image_to_lanes(
                 grid, np.ascontiguousarray(values, np.float32), constraints, component=component
             )
@@ -106,9 +104,9 @@ NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, -1), (1, -1), (-1, 
 class MinSum:
     """Assigns labels of least cost and short boundaries to the pixels of a mask.
 
-    This is min-sum belief propagation: in one direction after the other, each pixel sends a
-    message to its neighbour, the least cost of each of the neighbour's labels given the messages
-    from the other neighbours. Boundaries cost their length, as in the Potts model.
+    This is min-sum belief propagation. In one direction after the other, each pixel sends a message
+    to its neighbour: the least cost of each of the neighbour's labels, given the messages from the
+    other neighbours. Boundaries cost their length, as in the Potts model.
 
     References
     ----------
@@ -122,52 +120,54 @@ class MinSum:
         frame: np.ndarray,  # (H, W) float32: grey levels
         *,
         length: float,  # cost of a boundary per px of its length, where the frame is uniform
-        # κ: a step ΔI of the frame divides that cost by 1 + κ|ΔI|/m, with m the mean of |ΔI|
+        # κ: a step ΔI of the frame divides `length` by 1 + κ|ΔI|/m, with m the mean of |ΔI|
         image_edges: float,
     ) -> None:
         rows, columns = np.nonzero(is_free)
         mean_grey_step = max(mean_step(frame), MIN_GREY_STEP)
         count = len(rows)
-        # `count` is a pixel that sends no message
-        number = np.full(np.add(is_free.shape, 2), count)
-        number[1:-1, 1:-1][is_free] = np.arange(count)
-        inside = np.pad(np.ones(is_free.shape, bool), 1)
+        # the number `count` stands for the pixels outside the mask, which send no message
+        pixel_number = np.full(np.add(is_free.shape, 2), count)
+        pixel_number[1:-1, 1:-1][is_free] = np.arange(count)
+        is_inside = np.pad(np.ones(is_free.shape, bool), 1)
         padded = np.pad(frame, 1)
         grey = padded[rows + 1, columns + 1]
-        self._neighbours, self._costs, self._fixed = [], [], []
-        for down, right in NEIGHBOURS:
-            neighbour = rows + 1 + down, columns + 1 + right
-            distance = np.hypot(down, right)
+        self._neighbours, self._costs, self._fixed_neighbours = [], [], []
+        for row_step, column_step in NEIGHBOURS:
+            neighbour = rows + 1 + row_step, columns + 1 + column_step
+            distance = np.hypot(row_step, column_step)
             # With this factor, axis-aligned and diagonal boundaries cost their length.
-            cost = (2 - 2**0.5) * length / distance * inside[neighbour]
+            cost = (2 - 2**0.5) * length / distance * is_inside[neighbour]
             cost /= 1 + image_edges / (mean_grey_step * distance) * np.abs(padded[neighbour] - grey)
-            self._neighbours.append(number[neighbour])
+            self._neighbours.append(pixel_number[neighbour])
             self._costs.append(cost.astype(np.float32))
-            is_fixed = np.flatnonzero((number[neighbour] == count) & inside[neighbour])
-            self._fixed.append((is_fixed, neighbour[0][is_fixed] - 1, neighbour[1][is_fixed] - 1))
+            fixed_index = np.flatnonzero((pixel_number[neighbour] == count) & is_inside[neighbour])
+            self._fixed_neighbours.append(
+                (fixed_index, neighbour[0][fixed_index] - 1, neighbour[1][fixed_index] - 1)
+            )
 
     def assign(
         self,
         costs: np.ndarray,  # (K, N) float32: cost of every label
-        labels: np.ndarray,  # (H, W) int32: the labels of pixels outside the mask count
+        labels: np.ndarray,  # (H, W) int32: labels of all pixels; outside the mask they are fixed
     ) -> np.ndarray:
         """Return the labels of the free pixels, (N,) int32."""
         count = len(costs)
-        total = np.zeros((count, costs.shape[1] + 1), np.float32)
-        total[:, :-1] = costs
+        sums = np.zeros((count, costs.shape[1] + 1), np.float32)
+        sums[:, :-1] = costs
         label_numbers = np.arange(count)[:, None]
-        for (pixels, rows, columns), cost in zip(self._fixed, self._costs, strict=True):
-            total[:, pixels] += cost[pixels] * (labels[rows, columns] != label_numbers)
-        messages = np.zeros((len(NEIGHBOURS), *total.shape), np.float32)
+        for (pixels, rows, columns), cost in zip(self._fixed_neighbours, self._costs, strict=True):
+            sums[:, pixels] += cost[pixels] * (labels[rows, columns] != label_numbers)
+        messages = np.zeros((len(NEIGHBOURS), *sums.shape), np.float32)
         for _ in range(OBJECTS.message_rounds):
             for step, (neighbour, cost) in enumerate(
                 zip(self._neighbours, self._costs, strict=True)
             ):
-                # The neighbour's message: its total cost without the message that it got from here.
-                message = total.take(neighbour, axis=1) - messages[step ^ 1].take(neighbour, axis=1)
+                # The neighbour's message is its sum of costs without the message from this pixel.
+                message = sums.take(neighbour, axis=1) - messages[step ^ 1].take(neighbour, axis=1)
                 message -= message.min(axis=0)
                 np.minimum(message, cost, out=message)
                 message[:, neighbour == costs.shape[1]] = 0
-                total[:, :-1] += message - messages[step, :, :-1]
+                sums[:, :-1] += message - messages[step, :, :-1]
                 messages[step, :, :-1] = message
-        return total[:, :-1].argmin(axis=0).astype(np.int32)
+        return sums[:, :-1].argmin(axis=0).astype(np.int32)

@@ -34,12 +34,12 @@ class Layers:
     motions: list[np.ndarray]  # list of (3, 4) array
     labels: np.ndarray  # (H, W) int32
     hidden: np.ndarray  # (H, W) bool: pixels of frame 0 that are not visible in frame 1
-    costs: np.ndarray  # (K, H, W) float32: cost of each layer, in units
+    costs: np.ndarray  # (K, H, W) float32: cost of each layer, in units of cost
     # squared residual of a unit of cost: px² if constraints are normalised, else squared grey
     # levels
     unit: float
     flows: np.ndarray  # (K, 2, H, W) float32: flow of each layer's surface, at every pixel
-    allowed: np.ndarray  # (K, H, W) bool: pixels that may have the motion
+    is_allowed: np.ndarray  # (K, H, W) bool: pixels that may have each motion
     # (H, W) int32: parts of the background (label 0) that would float if they were at rest
     # (`floating_parts`), numbered from 1
     floating: np.ndarray
@@ -68,7 +68,7 @@ class Layering:
         density: float = 1.0,
     ) -> None:
         self._pyramid = pyramid
-        # Rough surfaces suffice to tell layers apart.
+        # Rough surfaces suffice to separate layers.
         self._settings = replace(settings, warps=1, coarse_warps=min(2, settings.coarse_warps))
         self._potts = Potts(grey0, density=density)
         self._min_residual = (
@@ -90,35 +90,35 @@ class Layering:
         hidden: np.ndarray,  # (H, W) bool
         *,
         # (K, H, W) bool: pixels that may have each motion, by default all
-        allowed: np.ndarray | None = None,
+        is_allowed: np.ndarray | None = None,
         rounds: int = 2,  # number of alternations; a single motion needs one only
     ) -> Layers:
         """Return the layers after fitting surfaces and labels alternately."""
-        if allowed is None:
-            allowed = np.ones((len(motions), *labels.shape), bool)
+        if is_allowed is None:
+            is_allowed = np.ones((len(motions), *labels.shape), bool)
         for _ in range(rounds if len(motions) > 1 else 1):
             residuals, flows = [], []
             for label, motion in reversed(list(enumerate(motions))):
                 surface = self._fit_surface(motion, _core(labels == label) & ~hidden)
                 residuals.append(surface.residual)
                 flows.append(surface.flow)
-            background = surface
+            background_surface = surface
             flows.reverse()
-            stacked, stacked_flows = np.stack(residuals[::-1]), np.stack(flows)
-            own_residual = np.take_along_axis(stacked, labels[None], axis=0)[0]
+            stacked_residuals, stacked_flows = np.stack(residuals[::-1]), np.stack(flows)
+            own_residual = np.take_along_axis(stacked_residuals, labels[None], axis=0)[0]
             valid = self._pyramid.valid0(0)
             median_residual = float(
                 np.median(own_residual if valid is None else own_residual[valid])
             )
             unit = OBJECTS.cost_unit * max(median_residual, self._min_residual**2)
-            costs = np.minimum(stacked / unit, OBJECTS.max_layer_cost)
+            costs = np.minimum(stacked_residuals / unit, OBJECTS.max_layer_cost)
             # Where a layer's flow leaves the image, it takes the least cost of the other layers.
             leaves = np.stack([leaves_image(flow) for flow in flows])
             min_cost = (
                 np.where(leaves, np.inf, costs).min(axis=0).clip(None, OBJECTS.max_layer_cost)
             )
             costs = np.where(leaves, min_cost, costs).astype(np.float32)
-            costs[~allowed] = OBJECTS.forbidden_layer_cost
+            costs[~is_allowed] = OBJECTS.forbidden_layer_cost
             own_flow = np.take_along_axis(stacked_flows, labels[None, None], axis=0)[0]
             hidden = occlusion_in(self._pyramid, own_flow, self._settings)
             weight = np.where(hidden, OBJECTS.hidden_weight, OBJECTS.visible_weight).astype(
@@ -132,8 +132,8 @@ class Layering:
             costs=costs,
             unit=unit,
             flows=stacked_flows,
-            allowed=allowed,
-            floating=self._floating_parts(background.solution) * (labels == 0),
+            is_allowed=is_allowed,
+            floating=self._floating_parts(background_surface.solution) * (labels == 0),
         )
 
     def add_floating_parts(self, layers: Layers, *, max_layers: int) -> Layers:
@@ -149,90 +149,90 @@ class Layering:
         labels = layers.labels.copy()
         margin = 1 + 2 * round(OBJECTS.floating_margin * max(labels.shape))
         window = np.ones((margin, margin), np.uint8)
-        allowed = list(layers.allowed)
+        is_allowed = list(layers.is_allowed)
         for part in parts:
             is_part = layers.floating == part
-            labels[is_part] = len(allowed)
-            allowed.append(cv2.dilate(is_part.astype(np.uint8), window) > 0)
+            labels[is_part] = len(is_allowed)
+            is_allowed.append(cv2.dilate(is_part.astype(np.uint8), window) > 0)
         motions = layers.motions + [layers.motions[0]] * len(parts)
-        return self.prune(self.fit(motions, labels, layers.hidden, allowed=np.stack(allowed)))
+        return self.prune(self.fit(motions, labels, layers.hidden, is_allowed=np.stack(is_allowed)))
 
     def prune(self, layers: Layers) -> Layers:
         """Return the layers that are needed.
 
         Layers that are too small are removed first. Then every other layer but the first is
-        removed on trial, and the layer with the least gain is dropped, until all are needed. The
-        least gain goes first because an object may have lost its pixels to a needless motion. A
-        layer that was needed once stays needed, because fewer layers are left to replace it.
+        removed on trial, and the layer with the least gain is dropped, until all layers are needed.
+        The layer with the least gain goes first, because an object may have lost its pixels to it.
+        A layer that was needed once stays needed, because fewer layers are left to replace it.
         """
-        needed = {0}
-        while len(needed) < len(layers.motions):
+        needed_labels = {0}
+        while len(needed_labels) < len(layers.motions):
             areas = np.bincount(layers.labels.ravel(), minlength=len(layers.motions))
-            candidates = [label for label in range(len(areas)) if label not in needed]
-            weakest = min(candidates, key=lambda label: areas[label])
-            if areas[weakest] < self.min_size:
-                layers = self._remove_layer(layers, weakest)
+            candidates = [label for label in range(len(areas)) if label not in needed_labels]
+            weakest_label = min(candidates, key=lambda label: areas[label])
+            if areas[weakest_label] < self.min_size:
+                layers = self._remove_layer(layers, weakest_label)
             else:
                 trials = {label: self._remove_layer(layers, label) for label in candidates}
                 gains = {
                     label: self._relative_gain(layers, label, trial)
                     for label, trial in trials.items()
                 }
-                needed |= {label for label in candidates if gains[label] >= 1}
-                weakest = min(candidates, key=lambda label: gains[label])
-                if weakest in needed:
+                needed_labels |= {label for label in candidates if gains[label] >= 1}
+                weakest_label = min(candidates, key=lambda label: gains[label])
+                if weakest_label in needed_labels:
                     break
-                layers = trials[weakest]
-            needed = {label - (label > weakest) for label in needed}
+                layers = trials[weakest_label]
+            needed_labels = {label - (label > weakest_label) for label in needed_labels}
         return layers
 
     def _remove_layer(self, layers: Layers, label: int) -> Layers:
         """Return the layers without one layer, the others fitted anew."""
-        others = [k for k in range(len(layers.motions)) if k != label]
+        other_labels = [k for k in range(len(layers.motions)) if k != label]
         weight = np.where(layers.hidden, OBJECTS.hidden_weight, OBJECTS.visible_weight).astype(
             np.float32
         )
         return self.fit(
-            [layers.motions[k] for k in others],
-            self._potts.assign(layers.costs[others], weight),
+            [layers.motions[k] for k in other_labels],
+            self._potts.assign(layers.costs[other_labels], weight),
             layers.hidden,
-            allowed=layers.allowed[others],
+            is_allowed=layers.is_allowed[other_labels],
             rounds=1,
         )
 
-    def _relative_gain(self, layers: Layers, label: int, without: Layers) -> float:
+    def _relative_gain(self, layers: Layers, label: int, pruned_layers: Layers) -> float:
         """Return the gain of a layer on its own pixels, 1 or more if the layer is needed.
 
-        For a layer that was added as a floating part, the background's surface there is the one
-        continued from around the part. If frames are partly textureless, gains are weighted by
+        For a layer that was added as a floating part, the background's surface is continued from
+        the surroundings of the part. If frames are partly textureless, gains are weighted by
         texture, and the background may also have the depth that is matched and carried
         (`textureless_depth`).
         """
-        is_visible_layer = (layers.labels == label) & ~layers.hidden & ~without.hidden
-        own_cost, rival_cost = _own_cost(layers), _own_cost(without)
-        is_floating = not layers.allowed[label].all()
+        is_visible_layer = (layers.labels == label) & ~layers.hidden & ~pruned_layers.hidden
+        own_cost, rival_cost = _own_cost(layers), _own_cost(pruned_layers)
+        is_floating = not layers.is_allowed[label].all()
         if is_floating:
-            rival_cost = np.where(without.floating > 0, layers.costs[0], rival_cost)
+            rival_cost = np.where(pruned_layers.floating > 0, layers.costs[0], rival_cost)
         gain = self._gain_ratio(rival_cost - own_cost, is_visible_layer)
         if gain < 1 or is_floating or not self._is_textureless:
             return gain
         return self._gain_ratio(
-            np.minimum(rival_cost, self._carried_cost(without)) - own_cost, is_visible_layer
+            np.minimum(rival_cost, self._carried_cost(pruned_layers)) - own_cost, is_visible_layer
         )
 
     def _gain_ratio(self, gain: np.ndarray, mask: np.ndarray) -> float:
-        """Return the gain of the pixels `mask` over the least gain of a needed layer."""
+        """Return the total gain of the pixels of a mask over the least gain of a needed layer."""
         total = float((self._weight * gain)[mask].sum())
         return total / max(
             OBJECTS.min_object_gain * self.min_size, OBJECTS.min_pixel_gain * int(mask.sum())
         )
 
     def _carried_cost(self, layers: Layers) -> np.ndarray:
-        """Return the background's cost with carried depth, (H, W); inf where there is none."""
+        """Return the background's cost with carried depth, (H, W); inf without such depth."""
         pyramid = self._pyramid
         is_background = layers.labels == 0
-        everywhere = np.zeros(is_background.shape, np.int32)
-        motion = scaled_translations(layers.motions[0][None], everywhere, pyramid.cameras[0])[0]
+        zeros = np.zeros(is_background.shape, np.int32)
+        motion = scaled_translations(layers.motions[0][None], zeros, pyramid.cameras[0])[0]
         carried = None
         if motion[:, 3].any():
             support = _core(is_background) & ~layers.hidden
@@ -328,11 +328,11 @@ def remove_specks(
     for label in np.unique(labels):
         parts = cv2.connectedComponents((labels == label).astype(np.uint8), connectivity=4)[1]
         areas = np.bincount(parts.ravel())
-        large = areas >= min_size
-        large[0] = False
-        if not large.any():
-            large[1 + int(np.argmax(areas[1:]))] = True
-        is_large |= large[parts]
+        is_large_part = areas >= min_size
+        is_large_part[0] = False
+        if not is_large_part.any():
+            is_large_part[1 + int(np.argmax(areas[1:]))] = True
+        is_large |= is_large_part[parts]
     return np.where(is_large, labels, fill_nearest(labels, is_large))
 
 
@@ -341,20 +341,20 @@ def fill_nearest(values: np.ndarray, is_known: np.ndarray) -> np.ndarray:
     _, nearest = cv2.distanceTransformWithLabels(
         (~is_known).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
-    value_of = np.zeros(int(nearest.max()) + 1, values.dtype)
-    value_of[nearest[is_known]] = values[is_known]
-    return value_of[nearest]
+    values_by_pixel = np.zeros(int(nearest.max()) + 1, values.dtype)
+    values_by_pixel[nearest[is_known]] = values[is_known]
+    return values_by_pixel[nearest]
 
 
 def _core(mask: np.ndarray) -> np.ndarray:
-    """Return a mask without its rim, or the whole mask if less than 64 pixels would be left."""
-    core = (
+    """Return a mask without its rim, or the whole mask if fewer than 64 pixels would remain."""
+    interior = (
         cv2.erode(
             mask.astype(np.uint8), np.ones((OBJECTS.layer_window, OBJECTS.layer_window), np.uint8)
         )
         > 0
     )
-    return core if core.sum() >= 64 else mask
+    return interior if interior.sum() >= 64 else mask
 
 
 def _own_cost(layers: Layers) -> np.ndarray:

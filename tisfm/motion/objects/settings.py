@@ -15,8 +15,8 @@ class ObjectSettings:
     outside_window: int = 15  # px around a pixel outside frame 1, in which flow is unreliable
     # candidates
     candidate_pixels: int = 40_000  # pixels of the reduced flow; boundaries are refined later
-    error_residuals: float = 3.0  # assumed error of a flow, in residuals of the background,
-    error_px: float = 0.02  # plus this length, px
+    error_residuals: float = 3.0  # assumed error of a flow, in residuals of the background
+    error_px: float = 0.02  # px: added to this error
     unexplained_errors: float = 3.0  # assumed errors: root of the cost of an unexplained pixel
     min_object_share: float = 0.002  # share of the pixels that an object has
     min_explained_share: float = 0.3  # share of a candidate's pixels that its motion explains
@@ -31,14 +31,14 @@ class ObjectSettings:
     joining_window: int = 9  # px: side of the window that joins parts
     # standard deviations between inverse depth and its upper and lower limits
     depth_deviations: float = 2.0
-    # inverse depth of a part relative to that around it; hanging lamps and leaves have less
+    # inverse depth of a part over that around the part; hanging lamps and leaves have less
     min_nearness_ratio: float = 1.3
-    min_ground_ratio: float = 0.9  # inverse depth at the border below a part over that around it
-    ground_rows: int = 3  # rows at the lower border that are taken for the ground
+    min_ground_ratio: float = 0.9  # inverse depth of the ground below a part over that around it
+    ground_rows: int = 3  # rows at the lower border that count as ground
     min_surrounding_depth: float = 0.05  # inverse depth around a part over the median inverse depth
     # label_optimisation
     message_rounds: int = 15  # rounds of belief propagation
-    # layers; costs are in units
+    # layers; costs are in units, see `cost_unit`
     layer_window: int = 5  # px: window that averages residuals and erodes masks of layers
     cost_unit: float = 3.0  # residual at which a pixel costs one unit, over the median residual
     max_layer_cost: float = 16.0  # units: largest cost of a pixel
@@ -53,7 +53,7 @@ class ObjectSettings:
     min_pixel_gain: float = 0.2
     # boundaries
     max_boundary_shift: int = 4  # px by which a boundary may move
-    boundary_rounds: int = 2  # updates of the labels, each followed by one of the occlusions
+    boundary_rounds: int = 2  # updates of the labels, each followed by an update of occlusions
     # The standard deviation of a visible pixel's grey level is the root of the sum of three
     # squares: of `min_noise`, of the residuals, and of the flow's error times the grey slope.
     min_noise: float = 3.0  # grey levels
@@ -64,17 +64,17 @@ class ObjectSettings:
     min_hidden_cost: float = 0.6  # cost of an occluded pixel in a uniform neighbourhood
     max_hidden_cost: float = 1.7  # cost of an occluded pixel in a varied neighbourhood
     boundary_cost: float = 4.0  # cost of each px of a boundary in uniform frames
-    image_edges: float = 0.25  # κ: how much a contour of the image lowers that cost
-    variation_window: int = 5  # px: side of the window whose variance says how varied frame 0 is
+    image_edges: float = 0.25  # κ: how much a contour of the image lowers `boundary_cost`
+    variation_window: int = 5  # px: side of the window whose variance is the texture of frame 0
     order_window: int = 31  # px: side of the window in which two surfaces have one depth order
     global_order_pixels: float = 15.0  # weight of the order in the whole image in each window
     brightness_window: int = 31  # px: side of the window with one change of brightness
     # depth
     # share of the longer side: median difference between a label's flow and its layer
     max_label_difference: float = 0.01
-    # share of the longer side: the same difference of a single pixel
+    # share of the longer side: difference between a pixel's flow and its layer
     max_pixel_difference: float = 0.05
-    # share of the pixels that diverge: with more, the whole pair has diverged, and pixels stay
+    # share of the pixels that diverge: with more, the pair has diverged, and no pixel is restored
     max_diverged_share: float = 0.02
     # px: side of the window that erodes the background; at its rim, windows mix depths
     background_rim: int = 7
