@@ -116,7 +116,7 @@ def test_a_video_may_announce_too_many_frames(video, asked):
     path, frames = video
     source = FrameSource(path)
     assert source.count is None and len(source) == 5
-    source._reader.announced += 2
+    source._reader.stated_count += 2
     pairs = list(attach_poses(source, TURNS[: len(frames) - 1]))
     assert len(pairs) == 5 and all(pair.pose is not None for pair in pairs)
 

@@ -51,7 +51,7 @@ def test_a_range_is_counted_beforehand(folder, video):
         assert len(FrameSource(source, start=1, stop=4)) == 2
         assert len(FrameSource(source, start=1, step=2)) == len(range(count)[1::2]) - 1
     source = FrameSource(folder, start=1, stop=4)
-    assert (source.count, source.chosen) == (5, slice(1, 4, 1))
+    assert (source.count, source.selection) == (5, slice(1, 4, 1))
     assert source.names == ("frame2", "frame9", "frame10")
     assert source.first_file.name == "frame2.png"
     assert len(source.files) == 5

@@ -183,12 +183,12 @@ def _read_motions(path: Path, pairs: FrameSource, settings: Settings) -> list[np
             f"{path} has {len(poses)} poses, but there are {pairs.count} frames: expected a line "
             "of twelve numbers for every frame"
         )
-    motions = [motion_between(*ends) for ends in pairwise(poses[pairs.chosen])]
+    motions = [motion_between(*ends) for ends in pairwise(poses[pairs.selection])]
     for index, motion in enumerate(motions):
         try:
             check_pose(motion)
         except ValueError as error:
-            first = pairs.chosen.start + index * pairs.chosen.step
-            second = first + pairs.chosen.step
+            first = pairs.selection.start + index * pairs.selection.step
+            second = first + pairs.selection.step
             raise InputError(f"{path}, frames {first} and {second}: {error}") from None
     return motions

@@ -13,16 +13,16 @@ from tisfm.sources.frame_reader import RawFrame, is_path
 
 
 class Arrays:
-    """Frames from an array, a sequence or an iterator, which runs in the caller's thread."""
+    """Frames from an array, a sequence or an iterator. Iterators run in the caller's thread."""
 
     title = "frames"
     files: tuple[Path, ...] = ()
     names: tuple[str, ...] | None = None
     prefix = "frame"
-    announced: int | None = None
+    stated_count: int | None = None
     times: tuple[float, ...] | None = None
     notes: tuple[str, ...] = ()
-    ahead = False
+    can_read_ahead = False
 
     def __init__(self, items: Iterable[Any]) -> None:
         if isinstance(items, np.ndarray) and items.ndim not in (3, 4):
@@ -34,13 +34,13 @@ class Arrays:
                 f"source is {items!r}: expected a path, a list of paths, or an iterable of arrays"
             )
         self._items = items
-        sized = isinstance(items, (Sequence, np.ndarray))
-        self.count: int | None = len(items) if sized else None  # type: ignore[arg-type]
+        has_length = isinstance(items, (Sequence, np.ndarray))
+        self.count: int | None = len(items) if has_length else None  # type: ignore[arg-type]
 
-    def read(self, chosen: slice) -> Iterator[RawFrame]:
-        """Yield the frames with these numbers."""
-        numbers = count(chosen.start, chosen.step)
-        items = islice(self._items, chosen.start, chosen.stop, chosen.step)
+    def read(self, selection: slice) -> Iterator[RawFrame]:
+        """Yield the frames whose numbers the slice contains."""
+        numbers = count(selection.start, selection.step)
+        items = islice(self._items, selection.start, selection.stop, selection.step)
         for index, item in zip(numbers, items, strict=False):
             if is_path(item):
                 raise InputTypeError(
@@ -48,6 +48,6 @@ class Arrays:
                     "the order of the frames"
                 )
             name = f"{self.prefix}_{index:06d}"
-            # Interpreting the pair refuses masked values, and names the frame.
+            # `interpret` refuses masked values of a pair, and names the frame.
             frame = item if isinstance(item, np.ma.MaskedArray) else check_unmasked(item, name)
             yield RawFrame(index=index, name=name, image=frame)

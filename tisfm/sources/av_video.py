@@ -1,4 +1,4 @@
-"""Videos that PyAV decodes, with exact times, and marks on damaged frames."""
+"""Videos that PyAV decodes, with exact times and with marks on damaged frames."""
 
 import re
 from collections.abc import Iterator
@@ -29,29 +29,30 @@ from tisfm.sources.video_checks import (
 )
 
 _TEXT_FORMAT = "tty"  # FFmpeg renders a text file as a video
-_PLAYLIST_FORMATS = ("concat", "dash", "hls", "imf", "sdp")  # they name other files
-# For decoders: a stream may have frames of another size than its container states.
-_LIMITS = {"max_pixels": str(MAX_FRAME_PIXELS)}
-_STILL_IMAGES = Disposition.attached_pic | Disposition.timed_thumbnails  # such as a cover
+_PLAYLIST_FORMATS = ("concat", "dash", "hls", "imf", "sdp")  # such files name other files
+# The limit also holds for decoders: a stream may have frames of another size than its container
+# states.
+_DECODER_OPTIONS = {"max_pixels": str(MAX_FRAME_PIXELS)}
+_STILL_IMAGES = Disposition.attached_pic | Disposition.timed_thumbnails  # such as cover images
 _HOURS = re.compile(r"(\d+):(\d+):(\d+(?:\.\d+)?)")  # hours:minutes:seconds
 
 
 class AvVideo:
     """A video that PyAV decodes.
 
-    Of several video streams the one marked as default is read, or else the largest. Frames are
-    resampled to square pixels.
+    If the file has several video streams, the stream that is marked as default is read, or else the
+    largest. Frames are resampled to square pixels.
 
     Raises ValueError if the file has no frame that PyAV can decode.
 
-    Raises tisfm.formats.FormatError: a ValueError: if it is a playlist, or its frames are larger
-    than `MAX_FRAME_PIXELS`.
+    Raises tisfm.formats.FormatError, which is a ValueError, if the file is a playlist, or its
+    frames are larger than `MAX_FRAME_PIXELS`.
     """
 
     names: tuple[str, ...] | None = None
-    count: int | None = None  # only reading tells: a video may state a frame or two too many
+    count: int | None = None  # unknown before reading: a video may state a frame or two too many
     times: tuple[float, ...] | None = None
-    ahead = True
+    can_read_ahead = True
 
     def __init__(
         self,
@@ -69,68 +70,71 @@ class AvVideo:
                     raise InputError(f"{path} is not a video")
                 stream = _choose_stream(container)
                 self._stream = stream.index
-                self.announced: int | None = stream.frames or None
-                self._end = _end(stream)
-                # Missing for codecs that FFmpeg does not know, although PyAV's types promise it.
+                self.stated_count: int | None = stream.frames or None
+                self._stated_end = _stated_end(stream)
+                # PyAV's types promise a codec context, but it is missing if FFmpeg does not know
+                # the codec.
                 if getattr(stream, "codec_context", None) is None:
                     raise InputError(f"{path} is of an unknown codec")
                 self._aspect = float(stream.sample_aspect_ratio or 1)
                 size = stream.width, stream.height, self._aspect
                 refuse_large_frames(path, *square_size(*size))
-                decoding = _Decoding(container, stream)
-                first = next((item for item in decoding if isinstance(item, VideoFrame)), None)
+                decoder = _FrameDecoder(container, stream)
+                first = next((item for item in decoder if isinstance(item, VideoFrame)), None)
                 if first is None:
                     raise InputError(f"{path} has no frame")
-                if first.rotation % 180 == 90:  # as frames are read, upright
+                if first.rotation % 180 == 90:  # frames are rotated to be upright
                     size = stream.height, stream.width, 1 / self._aspect
                 notes = (_streams_note(path, container, stream), resampling_note(path, *size))
                 self.notes = tuple(filter(None, notes))
         except (av.FFmpegError, OSError) as error:
             raise InputError(f"{path} cannot be decoded: {error}") from error
 
-    def read(self, chosen: slice) -> Iterator[RawFrame | BadFrame]:
-        """Decode the frames with these numbers."""
-        index, time, sound = 0, None, True
+    def read(self, selection: slice) -> Iterator[RawFrame | BadFrame]:
+        """Decode the frames whose numbers the slice contains."""
+        index, time, is_intact = 0, None, True
         with _open_container(self.title) as container:
             stream = container.streams[self._stream]
-            decoding = _Decoding(container, stream)
-            frames = iter(decoding)
+            decoder = _FrameDecoder(container, stream)
+            frames = iter(decoder)
             try:
-                while index != chosen.stop and (frame := next(frames, None)) is not None:
-                    # A damaged frame also damages the frames predicted from it, up to the next key
-                    # frame.
+                while index != selection.stop and (frame := next(frames, None)) is not None:
+                    # A damaged frame also damages the frames that are predicted from it, up to the
+                    # next key frame.
                     if isinstance(frame, VideoFrame):
                         time = _time(frame, stream)
-                        sound = not frame.is_corrupt and (sound or frame.key_frame)
+                        is_intact = not frame.is_corrupt and (is_intact or frame.key_frame)
                     else:
-                        sound = False
-                    if is_selected(index, chosen):
-                        yield self._read(frame, index, time, sound)
+                        is_intact = False
+                    if is_selected(index, selection):
+                        yield self._read(frame, index, time, is_intact)
                     index += 1
             except av.FFmpegError as error:
                 raise FormatError(
                     f"{self.title} cannot be read beyond frame {index}: {error}"
                 ) from error
-        if index == chosen.stop:
+        if index == selection.stop:
             return
-        early = ends_early(index, time, self._end)
-        if self.announced is None:
-            if early:
-                raise cut_off_error(self.title, f"{index} frames, {time:.2f}", f"{self._end:.2f} s")
-        # A file may leave out frames that repeat the one before: then the time of the last frame
-        # tells whether the file is cut off.
-        elif lacks_frames(decoding.packets, self.announced) and early is not False:
-            raise cut_off_error(self.title, f"{index}", f"{self.announced} frames")
+        is_early = ends_early(index, time, self._stated_end)
+        if self.stated_count is None:
+            if is_early:
+                raise cut_off_error(
+                    self.title, f"{index} frames, {time:.2f}", f"{self._stated_end:.2f} s"
+                )
+        # A file may leave out frames that repeat the frame before. Then the time of the last frame
+        # shows whether the file is cut off.
+        elif lacks_frames(decoder.packet_count, self.stated_count) and is_early is not False:
+            raise cut_off_error(self.title, f"{index}", f"{self.stated_count} frames")
 
     def _read(
-        self, frame: VideoFrame | av.FFmpegError, index: int, time: float | None, sound: bool
+        self, frame: VideoFrame | av.FFmpegError, index: int, time: float | None, is_intact: bool
     ) -> RawFrame | BadFrame:
         name = f"{self.prefix}_{index:06d}"
         if not isinstance(frame, VideoFrame):
             fault = "cannot be decoded"
         elif frame.is_corrupt:
             fault = "is damaged"
-        elif not sound:
+        elif not is_intact:
             fault = "is predicted from a damaged one"
         else:
             return RawFrame(index=index, name=name, image=self._pixels(frame), time=time)
@@ -138,27 +142,33 @@ class AvVideo:
         return BadFrame(index=index, name=name, error=error)
 
     def _pixels(self, frame: VideoFrame) -> np.ndarray:
-        """Return a frame upright, (H, W, 3) uint8 RGB, with the same pixels as OpenCV's."""
-        blue_first = frame.to_ndarray(format="bgr24", interpolation="BICUBIC")
-        image = resample_to_square_pixels(cv2.cvtColor(blue_first, cv2.COLOR_BGR2RGB), self._aspect)
+        """Return an upright frame, (H, W, 3) uint8 RGB, with the same pixels as with OpenCV."""
+        bgr = frame.to_ndarray(format="bgr24", interpolation="BICUBIC")
+        image = resample_to_square_pixels(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), self._aspect)
         if frame.rotation % 90 == 0:
             image = np.rot90(image, frame.rotation // 90)
         return np.ascontiguousarray(image)
 
 
 def _choose_stream(container: InputContainer) -> VideoStream:
-    """Return the video stream that is read: the one marked as default, or else the largest."""
+    """Return the video stream to read: the stream marked as default, or else the largest."""
     streams = _video_streams(container)
     if not streams:
         return container.streams.video[0]
-    default = [one for one in streams if one.disposition & Disposition.default]
-    return default[0] if len(default) == 1 else max(default or streams, key=_frame_pixels)
+    default_streams = [stream for stream in streams if stream.disposition & Disposition.default]
+    return (
+        default_streams[0]
+        if len(default_streams) == 1
+        else max(default_streams or streams, key=_frame_pixels)
+    )
 
 
 def _video_streams(container: InputContainer) -> list[VideoStream]:
-    """Return the video streams that can be decoded, without still images such as a cover."""
-    known = [one for one in container.streams.video if getattr(one, "codec_context", None)]
-    return [one for one in known if not one.disposition & _STILL_IMAGES] or known
+    """Return the video streams that can be decoded, without still images such as cover images."""
+    decodable = [
+        stream for stream in container.streams.video if getattr(stream, "codec_context", None)
+    ]
+    return [stream for stream in decodable if not stream.disposition & _STILL_IMAGES] or decodable
 
 
 def _frame_pixels(stream: VideoStream) -> int:
@@ -166,16 +176,16 @@ def _frame_pixels(stream: VideoStream) -> int:
 
 
 def _streams_note(path: str, container: InputContainer, used_stream: VideoStream) -> str:
-    """Return a note on the streams that are read and left out; "" if there is only one."""
+    """Return a note on the stream that is read and the streams left out; "" for one stream."""
     streams = _video_streams(container)
     if len(streams) < 2:
         return ""
     others = ", ".join(
-        f"{number} ({one.width} × {one.height} px)"
-        for number, one in enumerate(container.streams.video)
-        if one in streams and one.index != used_stream.index
+        f"{number} ({stream.width} × {stream.height} px)"
+        for number, stream in enumerate(container.streams.video)
+        if stream in streams and stream.index != used_stream.index
     )
-    number = [one.index for one in container.streams.video].index(used_stream.index)
+    number = [stream.index for stream in container.streams.video].index(used_stream.index)
     reason = (
         "is marked as default"
         if used_stream.disposition & Disposition.default
@@ -190,29 +200,29 @@ def _streams_note(path: str, container: InputContainer, used_stream: VideoStream
 
 
 def _open_container(path: str) -> InputContainer:
-    return av.open(path, options=_LIMITS)
+    return av.open(path, options=_DECODER_OPTIONS)
 
 
-class _Decoding:
+class _FrameDecoder:
     """The frames of a video in the order of their times, with an error in place of a lost frame.
 
     Attributes
     ----------
-    packets : int
-        Packets of the file so far: one for each frame, also for frames that are not shown.
+    packet_count : int
+        Number of packets that were read so far: one for each frame, also for hidden frames.
     """
 
     def __init__(self, container: InputContainer, stream: VideoStream) -> None:
-        # Threads over frames would raise errors too late to tell which frame they belong to.
+        # Threads over slices: with threads over frames, an error comes too late to know its frame.
         stream.thread_type = ThreadType.SLICE
-        stream.codec_context.options = _LIMITS
+        stream.codec_context.options = _DECODER_OPTIONS
         self._container, self._stream = container, stream
-        self.packets = 0
+        self.packet_count = 0
 
     def __iter__(self) -> Iterator[VideoFrame | av.FFmpegError]:
         lost_frames: list[tuple[int, int, av.FFmpegError]] = []  # time, number of the packet, error
         for packet in self._container.demux(self._stream):
-            self.packets += packet.size > 0
+            self.packet_count += packet.size > 0
             try:
                 frames = packet.decode()
             except av.FFmpegError as error:
@@ -221,7 +231,7 @@ class _Decoding:
                 if packet.pts is None:
                     yield error
                 else:
-                    heappush(lost_frames, (packet.pts, self.packets, error))
+                    heappush(lost_frames, (packet.pts, self.packet_count, error))
                 continue
             for frame in frames:
                 while lost_frames and frame.pts is not None and lost_frames[0][0] < frame.pts:
@@ -238,9 +248,9 @@ def _time(frame: VideoFrame, stream: VideoStream) -> float | None:
     return float((frame.pts - (stream.start_time or 0)) * frame.time_base)
 
 
-def _end(stream: VideoStream) -> float | None:
-    """Return the end that a video states, s from its beginning; None if it states none."""
-    # The count comes first: for an AVI that is cut off FFmpeg corrects the duration.
+def _stated_end(stream: VideoStream) -> float | None:
+    """Return the stated end of a video, s from its beginning; None if no end is stated."""
+    # The number of frames is more reliable: FFmpeg shortens the duration of an AVI that is cut off.
     if stream.frames and stream.average_rate:
         return float(stream.frames / stream.average_rate)
     if stream.duration is not None and stream.time_base is not None:

@@ -15,7 +15,7 @@ from tisfm.sources.frame_reader import is_integer
 
 @dataclass(frozen=True, kw_only=True)
 class CropResize:
-    """A crop of a frame, and the size that it is shrunk to.
+    """A crop of a frame, and the size of the frame after shrinking.
 
     Raises TypeError, ValueError if the values are not integers, or are too small.
     """
@@ -23,13 +23,13 @@ class CropResize:
     # (int, int, int, int): left, top, width and height of the crop, px of the frame. By default the
     # whole frame.
     crop: tuple[int, int, int, int] | None = None
-    # Longer side of the result, px. A larger crop is shrunk to it by averaging over areas, with the
-    # same scale along both axes; a smaller one stays as it is.
+    # Longer side of the result, px. A larger crop is shrunk to this side by averaging over areas,
+    # with the same scale along both axes. A smaller crop keeps its size.
     size: int | None = None
 
     def __post_init__(self) -> None:
         if self.crop is not None:
-            object.__setattr__(self, "crop", _checked_crop(self.crop))
+            object.__setattr__(self, "crop", _check_crop(self.crop))
         if self.size is not None and not (is_integer(self.size) and self.size >= MIN_SIDE):
             raise InputError(
                 f"size is {self.size!r}: expected the longer side as a whole number of px, at "
@@ -38,7 +38,7 @@ class CropResize:
 
     @property
     def keeps_frames(self) -> bool:
-        """Whether frames stay as they are."""
+        """Whether frames are neither cropped nor shrunk."""
         return self.crop is None and self.size is None
 
     def apply(
@@ -48,35 +48,36 @@ class CropResize:
     ) -> np.ndarray:
         """Return a frame, cropped and shrunk.
 
-        Raises TypeError, ValueError if it is not such an array, does not contain the crop, or
+        Raises TypeError, ValueError if the array is not a frame, does not contain the crop, or
         becomes too small.
         """
         image = check_frame(frame, name)
-        part = image[self._window(image.shape, name)]
-        scale = self._scale(part.shape, name)
+        crop = image[self._crop_slices(image.shape, name)]
+        scale = self._scale(crop.shape, name)
         if scale == 1:
-            return np.ascontiguousarray(part)
-        kind = image.dtype
-        if kind not in (np.uint8, np.uint16):  # OpenCV shrinks these, float32 and float64
-            part = part.astype(np.float32 if kind.itemsize <= 4 else np.float64)
-        return _shrink(part, scale).astype(kind, copy=False)
+            return np.ascontiguousarray(crop)
+        dtype = image.dtype
+        # OpenCV shrinks uint8, uint16, float32 and float64.
+        if dtype not in (np.uint8, np.uint16):
+            crop = crop.astype(np.float32 if dtype.itemsize <= 4 else np.float64)
+        return _shrink(crop, scale).astype(dtype, copy=False)
 
     def apply_to_mask(self, ignored: NDArray[np.bool_], name: str) -> NDArray[np.bool_]:
-        """Return where pixels of the result are ignored: where any of their source pixels is."""
-        part = ignored[self._window(ignored.shape, name)]
-        scale = self._scale(part.shape, name)
+        """Return the ignored pixels of the result: pixels with any ignored source pixel."""
+        crop = ignored[self._crop_slices(ignored.shape, name)]
+        scale = self._scale(crop.shape, name)
         if scale == 1:
-            return np.ascontiguousarray(part)
-        return _shrink(part.astype(np.float32), scale) > 0
+            return np.ascontiguousarray(crop)
+        return _shrink(crop.astype(np.float32), scale) > 0
 
     def apply_to_labels(self, labels: NDArray[np.uint8], name: str) -> NDArray[np.uint8]:
-        """Return the labels of the result, each from the nearest source pixel."""
-        part = labels[self._window(labels.shape, name)]
-        scale = self._scale(part.shape, name)
+        """Return the labels of the result: each is the label of the nearest source pixel."""
+        crop = labels[self._crop_slices(labels.shape, name)]
+        scale = self._scale(crop.shape, name)
         if scale == 1:
-            return np.ascontiguousarray(part)
-        size = _shrink(np.empty(part.shape, np.uint8), scale).shape[::-1]
-        return cv2.resize(part, size, interpolation=cv2.INTER_NEAREST_EXACT).astype(np.uint8)
+            return np.ascontiguousarray(crop)
+        size = _shrink(np.empty(crop.shape, np.uint8), scale).shape[::-1]
+        return cv2.resize(crop, size, interpolation=cv2.INTER_NEAREST_EXACT).astype(np.uint8)
 
     def camera_after(
         self,
@@ -86,27 +87,27 @@ class CropResize:
         width: int,
     ) -> Camera:
         """Return the camera of the cropped and shrunk frame."""
-        rows, columns = self._window((height, width), "the frame")
+        rows, columns = self._crop_slices((height, width), "the frame")
         cx, cy = camera.center_for(height, width)
-        share = (rows.stop - rows.start) / height  # of the readout time of the whole frame
-        part = replace(
+        readout_share = (rows.stop - rows.start) / height  # of the readout time of the whole frame
+        cropped_camera = replace(
             camera,
             center=(cx - columns.start, cy - rows.start),
-            readout=None if camera.readout is None else share * camera.readout,
+            readout=None if camera.readout is None else readout_share * camera.readout,
         )
         height, width = rows.stop - rows.start, columns.stop - columns.start
         scale = self._scale((height, width), "the frame")
-        return part if scale == 1 else part.scaled(scale, height, width)
+        return cropped_camera if scale == 1 else cropped_camera.scaled(scale, height, width)
 
-    def _window(self, shape: tuple[int, ...], name: str) -> tuple[slice, slice]:
+    def _crop_slices(self, shape: tuple[int, ...], name: str) -> tuple[slice, slice]:
         height, width = shape[:2]
-        x, y, part_width, part_height = self.crop or (0, 0, width, height)
-        if x + part_width > width or y + part_height > height:
+        left, top, crop_width, crop_height = self.crop or (0, 0, width, height)
+        if left + crop_width > width or top + crop_height > height:
             raise InputError(
                 f"crop is {self.crop}, but {name} is {width} px wide and {height} px high: "
                 "expected (left, top, width, height) inside it"
             )
-        return slice(y, y + part_height), slice(x, x + part_width)
+        return slice(top, top + crop_height), slice(left, left + crop_width)
 
     def _scale(self, shape: tuple[int, ...], name: str) -> float:
         height, width = shape[:2]
@@ -124,21 +125,21 @@ class CropResize:
 def _shrink(image: np.ndarray, scale: float) -> np.ndarray:
     """Return an image shrunk by averaging.
 
-    The scale is the same along both axes, though the sides are rounded: so the focal length is.
+    The sides are rounded, but the scale is the same along both axes, and so is the focal length.
     """
     return cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
 
 
-def _checked_crop(crop: Iterable[int]) -> tuple[int, int, int, int]:
+def _check_crop(crop: Iterable[int]) -> tuple[int, int, int, int]:
     values = tuple(crop) if isinstance(crop, Iterable) else ()
     if len(values) != 4 or not all(map(is_integer, values)):
         raise InputError(
             f"crop is {crop!r}: expected four whole numbers, (left, top, width, height), in px"
         )
-    x, y, width, height = map(int, values)
-    if min(x, y) < 0 or min(width, height) < MIN_SIDE:
+    left, top, width, height = map(int, values)
+    if min(left, top) < 0 or min(width, height) < MIN_SIDE:
         raise InputError(
-            f"crop is {(x, y, width, height)}: expected (left, top, width, height) with a corner "
-            f"inside the frame and at least {MIN_SIDE} px each way"
+            f"crop is {(left, top, width, height)}: expected (left, top, width, height) with a "
+            f"corner inside the frame and at least {MIN_SIDE} px each way"
         )
-    return x, y, width, height
+    return left, top, width, height

@@ -17,19 +17,19 @@ from tisfm.formats import FormatError
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RawFrame:
-    """A frame as it was read: its number in the source, its name, and its time, s, if known."""
+    """A frame before cropping and shrinking."""
 
-    index: int
+    index: int  # number in the source, from 0
     name: str
-    image: np.ndarray
-    time: float | None = None
+    image: np.ndarray  # (H, W) or (H, W, 3)
+    time: float | None = None  # s, if known
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BadFrame:
-    """A damaged frame: its number in the source, its name, and the error of reading it."""
+    """A damaged frame, with the error from reading the frame."""
 
-    index: int
+    index: int  # number in the source, from 0
     name: str
     error: FormatError
 
@@ -38,24 +38,22 @@ class BadFrame:
 class SourceFrame:
     """A frame of a source."""
 
-    index: int  # number in the source, from 0; skipped frames count
+    index: int  # number in the source, from 0; skipped frames are counted
     # stem of the image file; else the stem of the video, ``frame`` or ``webcam``, with the number
     name: str
     # seconds since the first frame of a video or webcam, or the time in the file name
     time: float | None
     # (H, W) or (H, W, 3) array: the frame, cropped and shrunk if the source does so
     image: np.ndarray
-    # (H, W) bool array, or None: true where pixels are ignored; None if the frame has no such
-    # pixels
+    # (H, W) bool array: true for ignored pixels; None if the frame has no ignored pixels
     ignored: NDArray[np.bool_] | None = None
-    # (H, W) uint8 array, or None: given number of the moving object at each pixel, 0 for the
-    # background at rest; None if the frame has no given labels
+    # (H, W) uint8 array: given number of the moving object at each pixel, 0 for the background at
+    # rest; None if the frame has no given labels
     labels: NDArray[np.uint8] | None = None
-    # Whether the values of a float frame may be from 0 to 1, to be stretched to 0 to 255. False
-    # once a frame of the source had larger values: then all of its frames are on the 8-bit scale.
+    # Whether a float frame with values from 0 to 1 is scaled to 0 to 255. False after a frame of
+    # the source had larger values: then all frames of the source are on the 8-bit scale.
     scales_unit_range: bool = True
-    # height and width before cropping and shrinking, px; None if the frame is
-    # unchanged
+    # height and width before cropping and shrinking, px; None if the frame is unchanged
     full_shape: tuple[int, int] | None = None
 
 
@@ -67,19 +65,19 @@ class FrameReader(Protocol):
     names: tuple[str, ...] | None  # names of all frames if each frame has a file, else None
     prefix: str  # prefix of the names of numbered frames
     count: int | None  # number of frames, if it is known before reading
-    announced: int | None  # number of frames that a video states; it may be wrong by a few
+    stated_count: int | None  # number of frames that a video states; can be wrong by a few frames
     times: tuple[float, ...] | None  # times of all frames, s, if they are known before reading
     notes: tuple[str, ...]  # notes to the user on how the source is read
-    ahead: bool  # whether frames may be read ahead in a thread
+    can_read_ahead: bool  # whether frames may be read ahead in a thread
 
-    def read(self, chosen: slice) -> Iterator[RawFrame | BadFrame]:
-        """Read the frames with these numbers (start, stop or None, step), in order."""
+    def read(self, selection: slice) -> Iterator[RawFrame | BadFrame]:
+        """Read, in order, the frames whose numbers the slice contains; its stop may be None."""
         ...
 
 
-def is_selected(index: int, chosen: slice) -> bool:
-    """Return whether a slice contains the number of a frame, which is below `chosen.stop`."""
-    return index >= chosen.start and (index - chosen.start) % chosen.step == 0
+def is_selected(index: int, selection: slice) -> bool:
+    """Return whether a slice contains the number of a frame, which is below `selection.stop`."""
+    return index >= selection.start and (index - selection.start) % selection.step == 0
 
 
 def is_path(item: Any) -> bool:
@@ -88,15 +86,15 @@ def is_path(item: Any) -> bool:
 
 
 def is_integer(value: Any) -> bool:
-    """Return whether a value is an integer, and not a boolean."""
+    """Return whether a value is an integer; a boolean is no integer."""
     return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
 
 
 class SourceWarning(UserWarning):
     """A note on how a source is read.
 
-    Files or streams are left out, frames are resampled, or ambiguous file names are read in one of
-    several ways.
+    Such notes tell that files or streams are left out, that frames are resampled, or how ambiguous
+    file names are read.
 
     Examples
     --------
@@ -116,7 +114,7 @@ def warn_notes(notes: Iterable[str], *, stacklevel: int = 2) -> None:
 class Listing:
     """The number of files of a source, and a digest of their names and, for videos, their sizes.
 
-    Processes on several machines compare their listings, so that all work on the same files.
+    Processes on several machines compare their listings, to make sure that all read the same files.
     """
 
     count: int
@@ -130,7 +128,7 @@ class Listing:
         return cls(len(files), hashlib.sha256(names.encode("utf-8", "surrogateescape")).hexdigest())
 
     def check(self, other: "Listing", title: str) -> None:
-        """Raise RuntimeError if the listing of another process differs from this one."""
+        """Raise RuntimeError if the listing of another process differs from this listing."""
         if other != self:
             raise RunError(
                 f"a worker sees other files in {title} ({other.count}) than the process that began "

@@ -13,27 +13,27 @@ from tisfm.formats.reading import open_file
 from tisfm.sources.frame_reader import BadFrame, RawFrame
 
 _FORMATS = (*PILLOW_FORMATS, "GIF", "AVIF")
-_MAX_CHECKED = 100  # images of a folder that are opened to count their frames; set by hand
+_MAX_OPENED_IMAGES = 100  # images of a folder whose frames are counted; set by hand
 
 
 def count_frames(file: Path) -> int:
     """Return the number of frames of an image file; 1 if unknown.
 
-    Further images in a JPEG (MPO) are previews, depth or gain maps, or the view of a second lens:
-    they do not count.
+    Further images in a JPEG (MPO) are not counted: they are previews, depth maps, gain maps, or the
+    view of a second lens.
     """
     try:
-        with warnings.catch_warnings(), open_file(file) as opened:
+        with warnings.catch_warnings(), open_file(file) as stream:
             warnings.simplefilter("ignore")  # Pillow warns of large images
-            with Image.open(opened, formats=_FORMATS) as picture:
+            with Image.open(stream, formats=_FORMATS) as picture:
                 return 1 if picture.format == "MPO" else int(getattr(picture, "n_frames", 1))
     except Exception:  # damaged files make Pillow's decoders raise many kinds of errors
         return 1
 
 
 def animations_note(files: Sequence[Path]) -> str:
-    """Return a note that only first frames are read; "" if all images have one frame."""
-    for file in files[:_MAX_CHECKED]:
+    """Return a note that only the first frame of a file is read; "" if all have one frame."""
+    for file in files[:_MAX_OPENED_IMAGES]:
         count = count_frames(file)
         if count > 1:
             return (
@@ -50,8 +50,8 @@ class ImageFiles:
     """
 
     prefix = ""
-    announced: int | None = None
-    ahead = True
+    stated_count: int | None = None
+    can_read_ahead = True
 
     def __init__(
         self,
@@ -67,21 +67,25 @@ class ImageFiles:
         self.count: int | None = len(files)
         stems = [file.stem for file in files]
         self.times = increasing_times(stems)
-        named = parse_times(stems)
+        parsed_times = parse_times(stems)
         note = (
-            unread_times_note(stems) if named is None else named.note(stems) if self.times else ""
+            unread_times_note(stems)
+            if parsed_times is None
+            else parsed_times.note(stems)
+            if self.times
+            else ""
         )
         self.notes = (*notes, *filter(None, (note, animations_note(files))))
-        # Files of different folders or suffixes may share a stem; names of results must differ,
-        # also on file systems that ignore case.
+        # Files of different folders or suffixes may have the same stem, but the names of results
+        # must differ, also on file systems that ignore case.
         if len({stem.lower() for stem in stems}) < len(stems):
             stems = [f"{index:06d}_{stem}" for index, stem in enumerate(stems)]
         self._names = tuple(stems)
         self.names: tuple[str, ...] | None = self._names
 
-    def read(self, chosen: slice) -> Iterator[RawFrame | BadFrame]:
-        """Read the files with these numbers."""
-        for index in range(len(self.files))[chosen]:
+    def read(self, selection: slice) -> Iterator[RawFrame | BadFrame]:
+        """Read the files whose numbers the slice contains."""
+        for index in range(len(self.files))[selection]:
             name = self._names[index]
             try:
                 image = read_image(self.files[index])
@@ -91,4 +95,4 @@ class ImageFiles:
                 continue
             time = None if self.times is None else self.times[index]
             yield RawFrame(index=index, name=name, image=image, time=time)
-            del image  # free its memory before the next one is read
+            del image  # free its memory before the next image is read

@@ -1,4 +1,4 @@
-"""Given labels: the number of the moving object that each pixel of a frame belongs to."""
+"""Given labels: the number of the moving object at each pixel of a frame."""
 
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -43,13 +43,13 @@ class Labels:
 
     def __init__(
         self,
-        # path, array, sequence, mapping, or iterable: image files, whose grey levels or palette
-        # indices are labels: a folder, a glob pattern, or one file. They are matched with the
-        # frames by name: ``a.png`` or ``a.jpg.png`` with ``a.jpg``, ``walk_000012.png`` with frame
-        # 12 of ``walk.mp4``; other frames have no labels. If no name matches, there must be one
-        # file for each frame, in order. Or a sequence, an (N, H, W) array of integers, or an
-        # iterable, with one item for every frame of the source, None for a frame without labels. Or
-        # a mapping from numbers or names of frames.
+        # A folder, a glob pattern, or the path of one file: image files, whose grey levels or
+        # palette indices are labels. Files and frames are matched by name: ``a.png`` or
+        # ``a.jpg.png`` with ``a.jpg``, ``walk_000012.png`` with frame 12 of ``walk.mp4``. Frames
+        # without a file have no labels. If no name matches, there must be one file for each frame,
+        # in order. Or a sequence, an (N, H, W) array of integers, or an iterable: it has one item
+        # for every frame of the source, None for a frame without labels. Or a mapping from frame
+        # numbers or frame names to paths or arrays.
         labels: LabelSource,
         *,
         names: Sequence[str] | None = None,  # names of all frames, if known
@@ -58,16 +58,16 @@ class Labels:
         count: int | None = None,  # number of frames, if known
     ) -> None:
         self._prefix, self._count = prefix, count
-        self._numbers = {name: k for k, name in enumerate(names or ())}
-        self._numbers |= {file.name: k for k, file in enumerate(frame_files)}
-        self.ahead = True  # whether labels may be read ahead in a thread
+        self._frame_numbers = {name: k for k, name in enumerate(names or ())}
+        self._frame_numbers |= {file.name: k for k, file in enumerate(frame_files)}
+        self.can_read_ahead = True  # whether labels may be read ahead in a thread
         self._items: Mapping[int, Any] | Iterable[Any]
         if isinstance(labels, (str, os.PathLike)):
             self._items = self._match_files(
                 list_image_files(os.fspath(labels), "picture or folder of labels")
             )
         elif isinstance(labels, Mapping):
-            self._items = {self._number(key): item for key, item in labels.items()}
+            self._items = {self._number_of_key(key): item for key, item in labels.items()}
         elif isinstance(labels, np.ndarray) and labels.ndim != 3:
             raise InputError(
                 f"labels is {labels.shape}: expected (N, H, W), with one for every frame; or, if "
@@ -77,54 +77,54 @@ class Labels:
             self._check_count(len(labels))
             self._items = dict(enumerate(labels))
         elif isinstance(labels, Iterable):
-            self._items, self.ahead = labels, False
+            self._items, self.can_read_ahead = labels, False
         else:
             raise InputTypeError(
                 f"labels is {labels!r}: expected pictures, or an array for every frame"
             )
         label_items = self._items.values() if isinstance(self._items, Mapping) else ()
-        # files of the labels
+        # files with labels
         self.files = tuple(Path(os.fspath(item)) for item in label_items if is_path(item))
         for file in self.files:
             if not file.exists():
                 raise FileNotFoundError(f"there are no labels {file}: check the path")
 
     def reader(self) -> "LabelReader":
-        """Return a reader of the labels, from the first frame on."""
+        """Return a reader that begins at the first frame."""
         return LabelReader(self._items)
 
     def _match_files(self, files: Sequence[Path]) -> dict[int, Path]:
-        """Return label files by the numbers of their frames."""
-        matched = {self._number_of(file.stem): file for file in files}
-        matched.pop(None, None)
-        if matched:
-            return {number: file for number, file in matched.items() if number is not None}
+        """Return the label file of each frame number."""
+        files_by_number = {self._frame_number(file.stem): file for file in files}
+        files_by_number.pop(None, None)
+        if files_by_number:
+            return {number: file for number, file in files_by_number.items() if number is not None}
         self._check_count(len(files), "; none of them has the name of a frame")
         return dict(enumerate(files))
 
-    def _number(self, key: Any) -> int:
-        """Return the number of the frame that a key of a mapping names."""
+    def _number_of_key(self, key: Any) -> int:
+        """Return the number of the frame for a key of a mapping."""
         if not is_integer(key) and not isinstance(key, str):
             raise InputTypeError(
                 f"labels has the key {key!r}: expected the number or name of a frame"
             )
-        number = int(key) if is_integer(key) else self._number_of(key)
+        number = int(key) if is_integer(key) else self._frame_number(key)
         if number is None or number < 0 or (self._count is not None and number >= self._count):
             raise InputError(f"labels has an entry for frame {key!r}, which does not exist")
         return number
 
-    def _number_of(self, name: str) -> int | None:
+    def _frame_number(self, name: str) -> int | None:
         """Return the number of the frame with this name; None if there is no such frame."""
-        if self._numbers:
-            return self._numbers.get(name)
-        beginning, _, number = name.rpartition("_")
-        return int(number) if beginning == self._prefix and number.isdecimal() else None
+        if self._frame_numbers:
+            return self._frame_numbers.get(name)
+        prefix, _, number = name.rpartition("_")
+        return int(number) if prefix == self._prefix and number.isdecimal() else None
 
-    def _check_count(self, count: int, more: str = "") -> None:
+    def _check_count(self, count: int, detail: str = "") -> None:
         if self._count is not None and count != self._count:
             raise InputError(
                 f"labels are of {count} frame{'s' * (count != 1)}, but there are "
-                f"{self._count} frames{more}: expected labels for every frame"
+                f"{self._count} frames{detail}: expected labels for every frame"
             )
 
 
@@ -140,10 +140,11 @@ class LabelReader:
         self,
         index: int,
         name: str,  # name of the frame in messages
-        # shapes, (H, W[, 3]), that the labels may have: of the frame as read, and as used
+        # (H, W[, 3]) of the frame before and after cropping and shrinking: labels may have both
+        # sizes
         shapes: Sequence[tuple[int, ...]],
     ) -> np.ndarray | None:
-        """Return the labels of the frame with this number, (H, W) uint8; None if it has none.
+        """Return the labels of frame `index`, (H, W) uint8; None for a frame without labels.
 
         Raises OSError, tisfm.formats.FormatError if the labels cannot be read.
 
@@ -168,7 +169,7 @@ class LabelReader:
         return labels
 
     def check(self) -> None:
-        """Raise ValueError if the labels so far have ignored pixels, but no object."""
+        """Raise ValueError if the labels that were read have ignored pixels, but no object."""
         if self._has_void and not self._has_objects:
             raise InputError(
                 "labels are 0 or 255 everywhere, and pixels of 255 are ignored: expected numbers "
@@ -178,8 +179,8 @@ class LabelReader:
     def _item(self, index: int, name: str) -> Any:
         if isinstance(self._items, Mapping):
             return self._items.get(index)
-        skipped, self._next_index = index - self._next_index, index + 1
-        for item in islice(self._items, skipped, None):
+        skip_count, self._next_index = index - self._next_index, index + 1
+        for item in islice(self._items, skip_count, None):
             return item
         raise InputError(f"labels ended before frame {name}: expected None where a frame has none")
 
@@ -210,10 +211,12 @@ def check_labels(values: Any, title: str) -> NDArray[np.uint8]:
 def are_labels(mask: Any) -> bool:
     """Return whether an argument for `tisfm.sources.masks.Masks` holds labels of moving objects.
 
-    It does if there is one item for every frame, and the items are images with a colour palette, as
-    in DAVIS, or arrays of integers with several numbers from 1 to 254. Otherwise it holds masks.
+    The argument holds labels if it has one item for every frame, and the items are images with a
+    colour palette, as in DAVIS, or arrays of integers with several numbers from 1 to 254. Otherwise
+    it holds masks.
 
-    Raises ValueError if both are possible: arrays of integers with a single number from 1 to 254.
+    Raises ValueError if both labels and masks are possible: arrays of integers with a single number
+    from 1 to 254.
 
     Raises tisfm.formats.FormatError if an image is damaged.
     """
@@ -227,8 +230,8 @@ def are_labels(mask: Any) -> bool:
     if all(map(is_path, mask)):
         return has_colour_palette(mask[0])
     numbers: set[int] = set()
-    for one in mask:
-        numbers |= _numbers_in(one)
+    for item in mask:
+        numbers |= _label_numbers(item)
     if len(numbers) == 1:
         raise InputError(
             f"mask has the number {numbers.pop()} at every pixel that is not 0: give booleans "
@@ -238,12 +241,12 @@ def are_labels(mask: Any) -> bool:
 
 
 def refuse_label_values(masks: Iterable[Any]) -> Iterator[Any]:
-    """Yield masks from an iterator, whose items `are_labels` cannot check beforehand.
+    """Yield masks from an iterable; `are_labels` cannot check its items before the run.
 
     Raises ValueError if an item holds labels of moving objects.
     """
     for mask in masks:
-        if _numbers_in(mask):
+        if _label_numbers(mask):
             raise InputError(
                 "mask has numbers other than 0 and 255: give them as labels= if they are numbers "
                 "of moving objects, or give booleans if 0 is to be ignored"
@@ -251,8 +254,8 @@ def refuse_label_values(masks: Iterable[Any]) -> Iterator[Any]:
         yield mask
 
 
-def _numbers_in(mask: Any) -> set[int]:
-    """Return the numbers from 1 to 254 in a mask of integers, (H, W); an empty set for others."""
+def _label_numbers(mask: Any) -> set[int]:
+    """Return the numbers from 1 to 254 in an (H, W) mask of integers; an empty set for others."""
     if mask is None or is_path(mask):
         return set()
     array = np.asarray(mask)

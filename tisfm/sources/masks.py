@@ -1,4 +1,4 @@
-"""Masks, which mark the pixels of each frame that are ignored."""
+"""Masks, which mark the ignored pixels of each frame."""
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
@@ -26,17 +26,17 @@ Mask = (
 
 
 class _MaskFile(NamedTuple):
-    """A mask read from a file: its path, and where pixels are used."""
+    """A mask that was read from a file."""
 
     path: str
-    used: NDArray[np.bool_]
+    valid_pixels: NDArray[np.bool_]  # (H, W): false for ignored pixels
 
 
 class Masks:
     """The masks of a source: one mask for all frames, or one for each frame.
 
-    Black (zero, False) pixels are ignored, as in COLMAP and other photogrammetry software, and as
-    with ``mask=`` in `tisfm.metrics`.
+    Black (zero, False) pixels are ignored, as in COLMAP and other photogrammetry software, and for
+    ``mask=`` in `tisfm.metrics`.
 
     Raises FileNotFoundError if a path does not exist or a pattern matches nothing.
 
@@ -47,36 +47,35 @@ class Masks:
 
     def __init__(
         self,
-        # path, array, sequence of paths, or iterable of arrays: an image file or an (H, W) array
-        # for all frames. Or one mask for each frame of the source, skipped frames included: a
-        # folder, a glob pattern, a list of files, an (N, H, W) array, or an iterable of (H, W)
-        # arrays.
+        # One mask for all frames: an image file or an (H, W) array. Or one mask for each frame of
+        # the source, including skipped frames: a folder, a glob pattern, a list of files, an
+        # (N, H, W) array, or an iterable of (H, W) arrays.
         mask: Mask,
         *,
-        # Files of all frames, if each frame has a file. The masks of a folder or pattern are
-        # matched with them by name: the mask of ``a.jpg`` is ``a.png`` or ``a.jpg.png``. If no name
-        # matches, the masks belong to the frames in order.
+        # Files of all frames, if each frame has a file. The masks of a folder or pattern and the
+        # frames are matched by name: the mask of ``a.jpg`` is ``a.png`` or ``a.jpg.png``. If no
+        # name matches, masks and frames have the same order.
         frame_files: Sequence[Path] = (),
         count: int | None = None,  # number of frames, if known
     ) -> None:
         self.files: tuple[Path, ...] = ()  # files of the masks
-        self.ahead = True  # whether masks may be read ahead in a thread
+        self.can_read_ahead = True  # whether masks may be read ahead in a thread
         self._items: Iterable[Any]
-        number = None
+        mask_count = None
         if isinstance(mask, (str, os.PathLike)):
             path = os.fspath(mask)
             if os.path.isfile(path):
                 self.files = (Path(path),)
                 self._items = repeat(_MaskFile(path, _nonzero(read_image(path))))
             else:
-                self.files = _by_name(list_image_files(path, "mask"), frame_files, path)
-                self._items, number = self.files, len(self.files)
+                self.files = _match_by_name(list_image_files(path, "mask"), frame_files, path)
+                self._items, mask_count = self.files, len(self.files)
         elif isinstance(mask, Sequence) and mask and all(map(is_path, mask)):
             self.files = tuple(Path(os.fspath(item)) for item in mask)
             for file in self.files:
                 if not file.exists():
                     raise FileNotFoundError(f"there is no mask {file}: check the path")
-            self._items, number = self.files, len(self.files)
+            self._items, mask_count = self.files, len(self.files)
         elif isinstance(mask, np.ndarray) and mask.ndim == 2:
             self._items = repeat(mask)
         elif isinstance(mask, np.ndarray) and mask.ndim != 3:
@@ -84,21 +83,21 @@ class Masks:
                 f"mask is {mask.shape}: expected (H, W), or (N, H, W) with one for every frame"
             )
         elif isinstance(mask, Iterable):
-            self.ahead = False
+            self.can_read_ahead = False
             self._items = mask
-            number = len(mask) if isinstance(mask, (Sequence, np.ndarray)) else None
+            mask_count = len(mask) if isinstance(mask, (Sequence, np.ndarray)) else None
         else:
             raise InputTypeError(
                 f"mask is {mask!r}: expected a picture, an array, or one for every frame"
             )
-        if number is not None and count is not None and number != count:
+        if mask_count is not None and count is not None and mask_count != count:
             raise InputError(
-                f"mask has {number} mask{'s' * (number != 1)}, but there are {count} frames: "
-                "expected one for every frame, or a single one"
+                f"mask has {mask_count} mask{'s' * (mask_count != 1)}, but there are {count} "
+                "frames: expected one for every frame, or a single one"
             )
 
     def reader(self) -> "MaskReader":
-        """Return a reader of the masks, from the first frame on."""
+        """Return a reader that begins at the first frame."""
         return MaskReader(self._items)
 
 
@@ -110,45 +109,45 @@ class MaskReader:
         self._next_index = 0
 
     def ignored(self, index: int, name: str, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-        """Return where a frame with this number and shape, (H, W[, 3]), is ignored.
+        """Return the ignored pixels, (H, W) bool, of a frame with this number and shape.
 
         Raises OSError, tisfm.formats.FormatError if the mask cannot be read.
 
-        Raises ValueError if there is no mask of this frame, or it has another size.
+        Raises ValueError if there is no mask of this frame, or the mask has another size.
         """
         item = next(islice(self._items, index - self._next_index, None), None)
         self._next_index = index + 1
         if item is None:
             raise InputError(f"mask ended before frame {name}: expected one for every frame")
         if isinstance(item, _MaskFile):
-            title, used = item
+            title, valid_pixels = item
         elif is_path(item):
-            title, used = os.fspath(item), _nonzero(read_image(item))
+            title, valid_pixels = os.fspath(item), _nonzero(read_image(item))
         else:
-            title, used = f"the mask of frame {name}", check_mask(item, "mask")
-        if used.shape != shape[:2]:
+            title, valid_pixels = f"the mask of frame {name}", check_mask(item, "mask")
+        if valid_pixels.shape != shape[:2]:
             raise InputError(
-                f"{title} is {used.shape} but frame {name} is {shape[:2]}: expected a mask of "
-                "the size of the frame as it is read"
+                f"{title} is {valid_pixels.shape} but frame {name} is {shape[:2]}: expected a mask "
+                "of the size of the frame as it is read"
             )
-        return ~used
+        return ~valid_pixels
 
 
 def _nonzero(image: np.ndarray) -> NDArray[np.bool_]:
-    """Return where an image, grey or colour, is not black."""
+    """Return which pixels of a grey or colour image are not black, (H, W) bool."""
     return (image if image.ndim == 2 else image.max(axis=-1)) != 0
 
 
-def _by_name(masks: list[Path], frames: Sequence[Path], title: str) -> tuple[Path, ...]:
+def _match_by_name(masks: list[Path], frames: Sequence[Path], title: str) -> tuple[Path, ...]:
     """Return the masks in the order of the frames, matched by name if any name matches."""
-    by_stem = {mask.stem: mask for mask in masks}
-    matched = [by_stem.get(frame.name, by_stem.get(frame.stem)) for frame in frames]
-    if not any(matched):
+    masks_by_stem = {mask.stem: mask for mask in masks}
+    matches = [masks_by_stem.get(frame.name, masks_by_stem.get(frame.stem)) for frame in frames]
+    if not any(matches):
         return tuple(masks)
-    for frame, mask in zip(frames, matched, strict=True):
+    for frame, mask in zip(frames, matches, strict=True):
         if mask is None:
             raise InputError(
                 f"{title} has no mask for {frame.name}: expected {frame.stem}.png or "
                 f"{frame.name}.png"
             )
-    return tuple(mask for mask in matched if mask is not None)
+    return tuple(mask for mask in matches if mask is not None)

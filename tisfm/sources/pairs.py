@@ -24,22 +24,20 @@ class FramePair:
     # frame0, frame1: (H, W) or (H, W, 3) array
     frame0: np.ndarray
     frame1: np.ndarray
-    # (4, 4) array_like or None: known motion, as for `tisfm.interpret`
+    # (4, 4) array_like or None: known motion of the camera, as for `tisfm.interpret`
     pose: npt.ArrayLike | None = None
-    # Whether the values of float frames may be from 0 to 1, to be stretched to 0 to 255. False once
-    # a frame of the source had larger values: then all of its frames are on the 8-bit scale.
+    # Whether float frames with values from 0 to 1 are scaled to 0 to 255. False after a frame of
+    # the source had larger values: then all frames of the source are on the 8-bit scale.
     scales_unit_range: bool = True
-    # height and width before cropping and shrinking, px; None if the frames are
-    # unchanged
+    # height and width before cropping and shrinking, px; None if the frames are unchanged
     full_shape: tuple[int, int] | None = None
     # times of the frames, s; None if unknown
     times: tuple[float, float] | None = None
-    # ignored0, ignored1: (H, W) bool array or None: true where pixels are ignored; None if a frame
-    # has no such pixels
+    # ignored0, ignored1: (H, W) bool array: true for ignored pixels; None if a frame has none
     ignored0: np.ndarray | None = None
     ignored1: np.ndarray | None = None
-    # number of frames of the source from the first to the second one; divides the readout time of
-    # a camera, which is a share of the time between neighbouring frames
+    # Distance of the second frame from the first, in frames of the source. The readout time is a
+    # share of the time between neighbouring frames of the source: it is divided by this interval.
     interval: int = 1
     index: int = 0  # number of the first frame in the source
     _digests: tuple["Digest", "Digest"] | None = field(default=None, repr=False, compare=False)
@@ -51,31 +49,33 @@ class FramePair:
         settings: Settings | None = None,
         window: Window | None = None,
     ) -> Interpretation:
-        """Interpret the pair; errors name its frames.
+        """Interpret the pair. Errors contain the names of the frames.
 
-        `window`, for motion ``"field"``, holds the result of the pair before; afterwards it holds
-        the result of this pair.
+        `window`, for motion ``"field"``, contains the result of the previous pair, and after the
+        call the result of this pair.
         """
         from tisfm.pair import interpret, interpret_pair
 
         if camera is not None and camera.readout and self.interval > 1:
             camera = replace(camera, readout=camera.readout / self.interval)
         ignored = self.ignored0, self.ignored1
-        work: Callable[..., Interpretation] = interpret
-        if not self.scales_unit_range or any(part is not None for part in ignored):
-            work = partial(
+        interpret_frames: Callable[..., Interpretation] = interpret
+        if not self.scales_unit_range or any(mask is not None for mask in ignored):
+            interpret_frames = partial(
                 interpret_pair, scales_unit_range=self.scales_unit_range, ignored=ignored
             )
         if window is not None:
             window.begin(self.interval)
-            work = partial(
+            interpret_frames = partial(
                 interpret_pair,
                 scales_unit_range=self.scales_unit_range,
                 ignored=ignored,
                 window=window,
             )
         try:
-            return work(self.frame0, self.frame1, camera=camera, settings=settings, pose=self.pose)
+            return interpret_frames(
+                self.frame0, self.frame1, camera=camera, settings=settings, pose=self.pose
+            )
         except (TypeError, ValueError) as error:
             error.args = (f"frames {self.name0} and {self.name1}: {error}",)
             raise
@@ -98,15 +98,15 @@ class FramePair:
     @property
     def digest(self) -> str:
         """A short hash of both frames, and of their masks and the pose, if any."""
-        both = hashlib.blake2b(digest_size=8)
+        pair_hash = hashlib.blake2b(digest_size=8)
         for frame in self._digests or (Digest(self.frame0), Digest(self.frame1)):
-            both.update(frame.value)
+            pair_hash.update(frame.value)
         for ignored in (self.ignored0, self.ignored1):
             if ignored is not None:
-                both.update(Digest(ignored).value)
+                pair_hash.update(Digest(ignored).value)
         if self.pose is not None:
-            both.update(np.array(self.pose, np.float64).tobytes())
-        return both.hexdigest()
+            pair_hash.update(np.array(self.pose, np.float64).tobytes())
+        return pair_hash.hexdigest()
 
 
 class Digest:
@@ -118,10 +118,10 @@ class Digest:
 
     @property
     def value(self) -> bytes:
-        """The hash, 16 bytes; computing it releases the frame."""
+        """The hash, 16 bytes. The first access computes the hash and releases the frame."""
         frame = self._frame
         if frame is not None:
-            pixels = hashlib.blake2b(f"{frame.shape} {frame.dtype}".encode(), digest_size=16)
-            pixels.update(np.ascontiguousarray(frame).reshape(-1).data)
-            self._value, self._frame = pixels.digest(), None
+            frame_hash = hashlib.blake2b(f"{frame.shape} {frame.dtype}".encode(), digest_size=16)
+            frame_hash.update(np.ascontiguousarray(frame).reshape(-1).data)
+            self._value, self._frame = frame_hash.digest(), None
         return self._value

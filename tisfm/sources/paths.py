@@ -15,22 +15,24 @@ from tisfm.formats import IMAGE_SUFFIXES
 from tisfm.formats.image_names import natural_sort_key, sort_by_name
 
 _URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://?", re.DOTALL)
-_URL_WITHOUT_SCHEME = re.compile(r"www\.[^/]+\.[^/]+(/|$)|youtu\.be/")  # as browsers show them
+_URL_WITHOUT_SCHEME = re.compile(r"www\.[^/]+\.[^/]+(/|$)|youtu\.be/")  # as browsers show URLs
 _STREAM_SCHEMES = ("mms", "rtmp", "rtmps", "rtp", "rtsp", "rtsps", "srt", "tcp", "udp", "v4l2")
 
 # Suffixes of images that tisfm cannot read.
-_UNREADABLE = (
+_UNREADABLE_SUFFIXES = (
     ".arw", ".avif", ".cr2", ".cr3", ".dng", ".exr", ".heic", ".heif", ".jxl", ".nef",
     ".orf", ".psd", ".raf", ".raw", ".rw2",
 )  # fmt: skip
-# Suffixes of images that are read if a pattern matches them; folders are not searched for them.
-_BY_PATTERN = (".dib", ".hdr", ".jfif", ".jpe", ".pbm", ".pfm", ".pic", ".ras", ".sr")
-_VIDEOS = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".ts", ".webm", ".wmv")
-_SAME_KIND = {".jpeg": ".jpg", ".tiff": ".tif", ".pgm": ".pnm", ".ppm": ".pnm"}
-_MAX_LISTED = 3  # files or folders that a message lists
-_MAX_SEARCHED = 200  # folders that are searched for images, for advice; set by hand
-# The number of a frame, as FFmpeg and renderers write it (%03d, ####); a single # only before a
-# suffix. In %20d, %20 is an encoded space.
+# Suffixes of images that are read if a pattern matches them; in a folder, such files are left out.
+_PATTERN_SUFFIXES = (".dib", ".hdr", ".jfif", ".jpe", ".pbm", ".pfm", ".pic", ".ras", ".sr")
+_VIDEO_SUFFIXES = (
+    ".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".ts", ".webm", ".wmv",
+)  # fmt: skip
+_MAIN_SUFFIX = {".jpeg": ".jpg", ".tiff": ".tif", ".pgm": ".pnm", ".ppm": ".pnm"}
+_MAX_LISTED_NAMES = 3  # names of files or folders in a message
+_MAX_SEARCHED_FOLDERS = 200  # folders to search for images, for advice; set by hand
+# The placeholder of FFmpeg and renderers for a frame number (%03d, ####). A single # counts only
+# before a suffix. %20d does not count: %20 is an encoded space.
 _FRAME_NUMBER = re.compile(
     r"%(0\d*|\d?)d|#{2,}|#(?=(" + "|".join(map(re.escape, IMAGE_SUFFIXES)) + ")$)", re.IGNORECASE
 )
@@ -53,19 +55,19 @@ def refuse_url(source: str) -> None:
     scheme = match[1].lower() if match else "https"
     if scheme == "file":
         path = _path_of_url(source)
-        instead = f"give the path, {path}" if path else "give the path of the file"
+        advice = f"give the path, {path}" if path else "give the path of the file"
     elif scheme in _STREAM_SCHEMES:
-        instead = (
+        advice = (
             "record a part of it to a file first, for instance by "
-            f"`ffmpeg -i {source} -t 60 -c copy film.mkv`, and give that"
+            f"`ffmpeg -i {source} -t 60 -c copy film.mkv`, and give the path of this file"
         )
     else:
-        instead = "download the file, and give its path"
-    raise InputError(f"{source} is a URL, and only files are read: {instead}")
+        advice = "download the file, and give its path"
+    raise InputError(f"{source} is a URL, and only files are read: {advice}")
 
 
 def _path_of_url(url: str) -> str:
-    """Return the path in a file:// URL; "" if it names another machine."""
+    """Return the path in a file:// URL; "" for a path on another machine."""
     try:
         parts = urlsplit(url)
     except ValueError:
@@ -74,21 +76,26 @@ def _path_of_url(url: str) -> str:
 
 
 def list_images(folder: str) -> ImageSelection:
-    """Return the images of a folder, without hidden files; FileNotFoundError if it has none."""
-    present = [file for file in Path(folder).iterdir() if not file.name.startswith(".")]
-    files = [file for file in present if file.suffix.lower() in IMAGE_SUFFIXES]
+    """Return the images of a folder, without hidden files.
+
+    Raises FileNotFoundError if the folder has no images.
+    """
+    visible_paths = [file for file in Path(folder).iterdir() if not file.name.startswith(".")]
+    files = [file for file in visible_paths if file.suffix.lower() in IMAGE_SUFFIXES]
     if not files:
-        advice = _advice_without_images(folder, present)
+        advice = _advice_without_images(folder, visible_paths)
         raise FileNotFoundError(f"the folder {folder} has no images{advice}")
-    notes = _skipped_notes(folder, present) + _kinds_note(folder, files)
+    notes = _skipped_notes(folder, visible_paths) + _formats_note(folder, files)
     return ImageSelection(sort_by_name(files), tuple(notes))
 
 
 def match_pattern(pattern: str) -> ImageSelection:
-    """Return the files that match a glob pattern; FileNotFoundError if there are none.
+    """Return the files that match a glob pattern.
 
-    Brackets count as part of a name if no file matches them as a pattern: ``set [1]/*.png`` is the
-    folder ``set [1]``, unless there is a folder ``set 1``.
+    If no file matches, brackets are read as part of the name: ``set [1]/*.png`` are the files of
+    the folder ``set [1]``, unless there is a folder ``set 1``.
+
+    Raises FileNotFoundError if no file matches in either way.
     """
     matches = {
         reading: files for reading in _pattern_readings(pattern) if (files := _glob(reading))
@@ -106,7 +113,7 @@ def match_pattern(pattern: str) -> ImageSelection:
 
 
 def files_of_pattern(pattern: str) -> list[Path]:
-    """Return the files of `match_pattern`; an empty list if there are none."""
+    """Return the files that `match_pattern` returns, or an empty list."""
     return next(filter(None, map(_glob, _pattern_readings(pattern))), [])
 
 
@@ -131,7 +138,7 @@ def _existing_folder(path: str) -> str:
 def list_image_files(path: str, name: str) -> list[Path]:
     """Return the images of a folder or pattern, or a single file as a list.
 
-    Raises FileNotFoundError if there are none; the message calls them `name`.
+    Raises FileNotFoundError if there are no images; the message calls the images `name`.
     """
     if os.path.isdir(path):
         return list_images(path).files
@@ -147,8 +154,8 @@ def list_image_files(path: str, name: str) -> list[Path]:
 def order_notes(files: Sequence[Path]) -> list[str]:
     """Return a note if files are in alphabetical order, and not in the order of their numbers.
 
-    A shell sorts the files of an unquoted pattern alphabetically. Any other order is the choice of
-    the user.
+    A shell sorts the files of an unquoted pattern alphabetically. If the order is different, the
+    user has chosen this order.
     """
     if list(files) != sorted(files, key=str):
         return []
@@ -156,7 +163,7 @@ def order_notes(files: Sequence[Path]) -> list[str]:
         if first != sorted_first:
             return [
                 f"files are read in the order given, where {first.name} comes before "
-                f"{sorted_first.name}; to have them in the order of their numbers or times, quote "
+                f"{sorted_first.name}; to read them in the order of their numbers or times, quote "
                 "the pattern"
             ]
     return []
@@ -165,7 +172,7 @@ def order_notes(files: Sequence[Path]) -> list[str]:
 def refuse_numbered_pattern(path: str) -> None:
     """Raise FileNotFoundError for a pattern such as ``f%03d.png`` or ``f.####.png``.
 
-    The message says which glob pattern to write. A path that exists, or matches files, is accepted.
+    The message contains the right glob pattern. A path is accepted if it exists or matches files.
     """
     folder = _existing_folder(path)
     rest = path[len(folder) :]
@@ -193,82 +200,84 @@ def _advice_on_pattern(pattern: str) -> str:
     return "check the pattern"
 
 
-def _advice_without_images(folder: str, present: Sequence[Path]) -> str:
-    """Return advice for a folder without images, by the files and folders that are present."""
-    videos = [file for file in present if file.suffix.lower() in _VIDEOS]
-    if skipped := _skipped_notes(folder, present, is_all=True):
+def _advice_without_images(folder: str, visible_paths: Sequence[Path]) -> str:
+    """Return advice for a folder without images, from its visible files and folders."""
+    videos = [file for file in visible_paths if file.suffix.lower() in _VIDEO_SUFFIXES]
+    if skipped := _skipped_notes(folder, visible_paths, is_folder_unread=True):
         return ", but " + "; ".join(skipped)
     if videos:
         return f", but {_join_names([file.name for file in videos])}: give the path of one video"
-    if below := list(_folders_with_images(Path(folder))):
-        begin = "a folder below it has" if len(below) == 1 else "folders below it have"
-        return f", but {begin}: give {_join_names([str(one) for one in below], 'or')}"
+    if subfolders := list(_folders_with_images(Path(folder))):
+        begin = "a folder below it has" if len(subfolders) == 1 else "folders below it have"
+        return f", but {begin}: give {_join_names([str(path) for path in subfolders], 'or')}"
     return f": expected files ending in {', '.join(IMAGE_SUFFIXES)}"
 
 
 def _folders_with_images(folder: Path) -> Iterator[Path]:
-    """Yield the folders below a folder that have images, the nearest first."""
-    queue, searched = [folder], 0
-    while queue and searched < _MAX_SEARCHED:
-        current, searched = queue.pop(0), searched + 1
+    """Yield the subfolders with images, in order of increasing depth."""
+    queue, search_count = [folder], 0
+    while queue and search_count < _MAX_SEARCHED_FOLDERS:
+        current, search_count = queue.pop(0), search_count + 1
         try:
-            visible = [one for one in current.iterdir() if not one.name.startswith(".")]
-        except OSError:  # no permission to list it
+            visible_paths = [path for path in current.iterdir() if not path.name.startswith(".")]
+        except OSError:  # no permission to list the folder
             continue
-        entries = sorted(visible, key=natural_sort_key)
-        if current != folder and any(one.suffix.lower() in IMAGE_SUFFIXES for one in entries):
+        paths = sorted(visible_paths, key=natural_sort_key)
+        if current != folder and any(path.suffix.lower() in IMAGE_SUFFIXES for path in paths):
             yield current
-        queue += [one for one in entries if one.is_dir() and not one.is_symlink()]
+        queue += [path for path in paths if path.is_dir() and not path.is_symlink()]
 
 
-def _skipped_notes(folder: str, present: Sequence[Path], *, is_all: bool = False) -> list[str]:
-    """Return notes on files that are images by their suffix, but are not read.
+def _skipped_notes(
+    folder: str, visible_paths: Sequence[Path], *, is_folder_unread: bool = False
+) -> list[str]:
+    """Return notes on files that have the suffix of an image, but are not read.
 
-    `is_all` tells that the folder has no images that are read.
+    `is_folder_unread`: whether no file of the folder is read.
     """
     notes = []
     for suffixes, advice in (
-        (_UNREADABLE, "tisfm cannot read them; convert them to PNG or JPEG"),
+        (_UNREADABLE_SUFFIXES, "tisfm cannot read them; convert them to PNG or JPEG"),
         ((".gif",), "a GIF is read as a video; give the path of one GIF"),
-        (_BY_PATTERN, "a folder is not searched for them; give a pattern such as {pattern}"),
+        (_PATTERN_SUFFIXES, "a folder is not searched for them; give a pattern such as {pattern}"),
     ):
-        names = [file.name for file in present if file.suffix.lower() in suffixes]
+        names = [file.name for file in visible_paths if file.suffix.lower() in suffixes]
         if not names:
             continue
         names.sort(key=lambda name: natural_sort_key(Path(name)))
         pattern = os.path.join(glob.escape(folder), f"*{Path(names[0]).suffix}")
         advice = advice.format(pattern=pattern)
-        if is_all:
+        if is_folder_unread:
             notes.append(f"it has {_join_names(names)}: {advice}")
         else:
-            one = len(names) == 1
+            is_single = len(names) == 1
             notes.append(
-                f"{len(names)} picture{'s' * (not one)} in {folder} {'is' if one else 'are'} left "
-                f"out ({_join_names(names)}): {advice}"
+                f"{len(names)} picture{'s' * (not is_single)} in {folder} "
+                f"{'is' if is_single else 'are'} left out ({_join_names(names)}): {advice}"
             )
     return notes
 
 
-def _kinds_note(folder: str, files: Sequence[Path]) -> list[str]:
-    """Return a note on images of several formats: they may be the same frames twice."""
+def _formats_note(folder: str, files: Sequence[Path]) -> list[str]:
+    """Return a note on images in several formats: a folder may have each frame twice."""
     suffixes = (file.suffix.lower() for file in files)
-    kinds = Counter(_SAME_KIND.get(suffix, suffix) for suffix in suffixes)
-    if len(kinds) == 1:
+    kind_counts = Counter(_MAIN_SUFFIX.get(suffix, suffix) for suffix in suffixes)
+    if len(kind_counts) == 1:
         return []
-    counted = ", ".join(f"{number} {kind}" for kind, number in kinds.most_common())
-    most_common = kinds.most_common(1)[0][0]
+    counts_text = ", ".join(f"{number} {kind}" for kind, number in kind_counts.most_common())
+    most_common = kind_counts.most_common(1)[0][0]
     pattern = os.path.join(glob.escape(folder), f"*{most_common}")
     return [
-        f"{folder} has pictures of several kinds ({counted}), and all are read, in the order of "
-        f"their names; a pattern such as {pattern} takes one kind"
+        f"{folder} has pictures of several kinds ({counts_text}), and all are read, in the order "
+        f"of their names; a pattern such as {pattern} takes one kind"
     ]
 
 
 def _join_names(names: Sequence[str], conjunction: str = "and") -> str:
-    """Return names as text; of many names the first few."""
+    """Return names as text; if there are many, only the first `_MAX_LISTED_NAMES`."""
     if len(names) == 1:
         return names[0]
-    if len(names) > _MAX_LISTED:
-        rest = len(names) - _MAX_LISTED
-        return f"{', '.join(names[:_MAX_LISTED])} {conjunction} {rest} more"
+    if len(names) > _MAX_LISTED_NAMES:
+        rest = len(names) - _MAX_LISTED_NAMES
+        return f"{', '.join(names[:_MAX_LISTED_NAMES])} {conjunction} {rest} more"
     return f"{', '.join(names[:-1])} {conjunction} {names[-1]}"

@@ -54,22 +54,21 @@ class FrameSource:
     ----------
     source : path, sequence of paths, or iterable of arrays
         A folder of images (in natural order of their names, without hidden files), a glob pattern,
-        a video file, a list of image files, or any iterable of (H, W) or (H, W, 3) arrays; or
-        ``"webcam"``, ``"webcam:1"``, … for a camera.
+        a video file, a list of image files, or any iterable of (H, W) or (H, W, 3) arrays. A camera
+        is ``"webcam"``, ``"webcam:1"``, …
     step : int
         Take every `step`-th frame.
     start, stop : int
-        Numbers of the first frame that is taken, and of the first frame after the last one taken,
-        from 0. By default all frames.
+        Number, from 0, of the first frame to take, and number after the last frame to take. By
+        default all frames.
     size : int, optional
         Longer side of the frames, px. Larger frames are shrunk by averaging over areas.
     crop : (int, int, int, int), optional
-        Left, top, width and height of the part of the frames that is used, px. Frames are cropped
-        before they are shrunk.
+        Left, top, width and height of the crop, px. Frames are cropped before they are shrunk.
     mask : path, array, sequence of paths, or iterable of arrays, optional
-        Pixels that are black, zero or False are ignored. An image file or an array for all frames,
-        or one for every frame, as for `tisfm.sources.masks.Masks`. Masks have the size of the
-        frames before cropping and shrinking.
+        Pixels that are black, zero or False are ignored. One mask for all frames, an image file or
+        an array, or one mask for every frame, as for `tisfm.sources.masks.Masks`. Masks have the
+        size of the frames before cropping and shrinking.
     labels : path, array, sequence, mapping, or iterable, optional
         Numbers of moving objects, as for `tisfm.sources.labels.Labels`: 0 for the background at
         rest, 1 to 254 for objects, 255 for ignored pixels. Labels have the size of the frames
@@ -80,26 +79,26 @@ class FrameSource:
     Attributes
     ----------
     files : tuple of Path
-        All files of the source: the images, including those between the steps, or the video; the
-        masks and the labels.
+        All files of the source: the video, or the images, including images that `step` leaves out;
+        the masks and the labels.
     names : tuple of str or None
         Names of the frames that are taken, if each frame has a file.
     prefix : str
         Prefix of the names of numbered frames.
     count : int or None
-        Number of all frames of the source. None if only reading tells: a video may state a frame or
-        two too many.
-    chosen : slice
+        Number of all frames of the source. None if it is unknown before reading: a video may state
+        a frame or two too many.
+    selection : slice
         Start, stop and step.
     bad_frames : {"raise", "skip"}
-        As given.
+        The argument.
     times : tuple of float or None
         Times of the frames that are taken, s, if they are known before reading.
     notes : tuple of str
-        Notes to the user on how the source is read: files or streams that are left out, ambiguous
-        file names, frames that are resampled.
+        Notes to the user: files or streams that are left out, frames that are resampled, how
+        ambiguous file names are read.
     skipped : list of (int, str)
-        Numbers of the frames that were skipped so far, each with the reason.
+        Numbers of the damaged frames that were skipped so far, each with the reason.
 
     Raises
     ------
@@ -110,7 +109,7 @@ class FrameSource:
     TypeError
         If the source is of another type.
     ValueError
-        If there are fewer than two frames, or another argument has a value not listed here.
+        If there are fewer than two frames, or the value of an argument is not allowed.
     """
 
     def __init__(
@@ -126,20 +125,20 @@ class FrameSource:
         labels: LabelSource | None = None,
         bad_frames: BadFrames = "raise",
     ) -> None:
-        self.chosen = _chosen(start, stop, step)
+        self.selection = _check_selection(start, stop, step)
         if bad_frames not in get_args(BadFrames):
             raise InputError(f'bad_frames is {bad_frames!r}: expected "raise" or "skip"')
         self.bad_frames = bad_frames
         self._crop_resize = CropResize(crop=crop, size=size)
         reader = _open(source)
         self._reader = reader
-        for number in (reader.count, reader.announced):
+        for number in (reader.count, reader.stated_count):
             if number is not None:
                 self._check_count(number)
         self.title, self.prefix, self.count = reader.title, reader.prefix, reader.count
-        self.names = None if reader.names is None else reader.names[self.chosen]
+        self.names = None if reader.names is None else reader.names[self.selection]
         self.files, self.notes = reader.files, reader.notes
-        self.times = None if reader.times is None else reader.times[self.chosen]
+        self.times = None if reader.times is None else reader.times[self.selection]
         self._masks: Masks | None = None
         if mask is not None:
             frame_files = () if reader.names is None else reader.files
@@ -175,23 +174,23 @@ class FrameSource:
 
     @property
     def first_file(self) -> Path | None:
-        """The image file of the first frame that was not skipped; None without image files."""
+        """The image file of the first frame that was not skipped; None for other sources."""
         if self.names is None:
             return None
         skipped = {index for index, _ in self.skipped}
-        taken = range(len(self._reader.files))[self.chosen]
-        return next((self._reader.files[index] for index in taken if index not in skipped), None)
+        indices = range(len(self._reader.files))[self.selection]
+        return next((self._reader.files[index] for index in indices if index not in skipped), None)
 
     @property
     def listing(self) -> Listing:
-        """The files of the frames as this process sees them, up to the last frame taken."""
+        """The files of the frames in this process, up to the last frame to take."""
         files = self.frame_files
-        if self.names is None:  # while a video is being copied, only its size tells
+        if self.names is None:  # the size shows whether a video is still being copied
             return Listing.of(files, with_sizes=True)
-        return Listing.of(files[: self.chosen.stop])
+        return Listing.of(files[: self.selection.stop])
 
     def allow_no_pairs(self) -> None:
-        """Raise no error if the source has no pair: it is the rest of a sequence with pairs."""
+        """Allow a source without a pair, such as the rest of a sequence that had pairs."""
         self._may_lack_pairs = True
 
     def __len__(self) -> int:
@@ -199,41 +198,41 @@ class FrameSource:
 
         There are fewer pairs if frames are skipped.
         """
-        count = self._reader.announced if self.count is None else self.count
+        count = self._reader.stated_count if self.count is None else self.count
         if count is None:
             raise InputTypeError(f"the length of {self.title} is not known before it is read")
-        return max(0, len(range(count)[self.chosen]) - 1)
+        return max(0, len(range(count)[self.selection]) - 1)
 
     def __iter__(self) -> Generator[FramePair, None, None]:
         """Read the frames, and yield each pair of consecutive frames."""
         previous: tuple[SourceFrame, Digest] | None = None
-        pairs = 0
+        pair_count = 0
         with closing(self.frames()) as frames:
             for frame in frames:
                 digest = Digest(frame.image)
                 if previous is not None:
-                    before, digest0 = previous
+                    frame0, digest0 = previous
                     times = None
-                    if before.time is not None and frame.time is not None:
-                        times = before.time, frame.time
+                    if frame0.time is not None and frame.time is not None:
+                        times = frame0.time, frame.time
                     yield FramePair(
-                        name0=before.name,
-                        frame0=before.image,
+                        name0=frame0.name,
+                        frame0=frame0.image,
                         name1=frame.name,
                         frame1=frame.image,
                         scales_unit_range=frame.scales_unit_range,
                         full_shape=frame.full_shape,
                         times=times,
-                        ignored0=before.ignored,
+                        ignored0=frame0.ignored,
                         ignored1=frame.ignored,
-                        interval=frame.index - before.index,
-                        index=before.index,
+                        interval=frame.index - frame0.index,
+                        index=frame0.index,
                         _digests=(digest0, digest),
                     )
-                    del before, digest0  # free their memory before the next frame is read
-                    pairs += 1
+                    del frame0, digest0  # free their memory before the next frame is read
+                    pair_count += 1
                 previous = frame, digest
-        if pairs == 0 and not self._may_lack_pairs:
+        if pair_count == 0 and not self._may_lack_pairs:
             skipped = f" ({len(self.skipped)} were skipped)" if self.skipped else ""
             raise InputError(
                 f"{self.title} ended before there was a pair{skipped}: expected more frames"
@@ -242,19 +241,22 @@ class FrameSource:
     def frames(self) -> Generator[SourceFrame, None, None]:
         """Read the frames, one after the other.
 
-        Exhaust or close the generator to end the thread that reads ahead.
+        To end the thread that reads ahead, exhaust or close the generator.
 
-        Raises OSError, tisfm.formats.FormatError if a frame cannot be read. A damaged frame raises
+        Raises OSError, tisfm.formats.FormatError if a frame cannot be read; for a damaged frame
         only with ``bad_frames="raise"``.
 
         Raises TypeError, ValueError if frames differ in size, do not contain the crop, or have no
         mask of their size; if labels are of a wrong type; if a video is cut off.
         """
         self.skipped = []
-        prepared = self._prepare_frames()
-        ahead = all(one is None or one.ahead for one in (self._reader, self._masks, self._labels))
+        prepared_frames = self._prepare_frames()
+        can_read_ahead = all(
+            item is None or item.can_read_ahead
+            for item in (self._reader, self._masks, self._labels)
+        )
         scales_unit_range = True
-        with closing(read_ahead(prepared) if ahead else prepared) as frames:
+        with closing(read_ahead(prepared_frames) if can_read_ahead else prepared_frames) as frames:
             for frame in frames:
                 if isinstance(frame, BadFrame):
                     if self.bad_frames == "raise":
@@ -267,55 +269,55 @@ class FrameSource:
     def camera_after(
         self,
         camera: Camera,  # camera of the frames before cropping and shrinking
-        # height and width of the frames before that, px: the attribute `full`
-        # of a frame or pair
-        full: tuple[int, int] | None,
+        # height and width of the frames before cropping and shrinking, px: the attribute
+        # `full_shape` of a frame or pair
+        full_shape: tuple[int, int] | None,
     ) -> Camera:
         """Return the camera of the cropped and shrunk frames."""
-        return camera if full is None else self._crop_resize.camera_after(camera, *full)
+        return camera if full_shape is None else self._crop_resize.camera_after(camera, *full_shape)
 
     def _prepare_frames(self) -> Generator[BadFrame | SourceFrame, None, None]:
-        """Yield the frames, cropped and shrunk, with masks and labels; and the damaged frames."""
+        """Yield frames, cropped and shrunk, with their masks and labels; also damaged frames."""
         masks = None if self._masks is None else self._masks.reader()
         labels = None if self._labels is None else self._labels.reader()
-        before: tuple[str, tuple[int, ...]] | None = None
-        for raw in self._reader.read(self.chosen):
+        previous: tuple[str, tuple[int, ...]] | None = None  # name and shape of the frame before
+        for raw in self._reader.read(self.selection):
             if isinstance(raw, BadFrame):
                 yield raw
                 continue
-            if before is not None and raw.image.shape != before[1]:
+            if previous is not None and raw.image.shape != previous[1]:
                 raise InputError(
-                    f"frames {before[0]} and {raw.name}: the first is {before[1]}, the second "
+                    f"frames {previous[0]} and {raw.name}: the first is {previous[1]}, the second "
                     f"{raw.image.shape}, but they must have the same size and channels"
                 )
-            before = raw.name, raw.image.shape
+            previous = raw.name, raw.image.shape
             yield self._prepare(raw, masks, labels)
             del raw  # free its memory before the next frame is read
         if labels is not None:
             labels.check()
 
     def _prepare(
-        self, raw: RawFrame, masks: MaskReader | None, given: LabelReader | None
+        self, raw: RawFrame, masks: MaskReader | None, given_labels: LabelReader | None
     ) -> SourceFrame:
         """Return a frame, cropped and shrunk, with its mask and labels."""
-        image, full = raw.image, None
+        image, full_shape = raw.image, None
         if not self._crop_resize.keeps_frames:
-            image, full = self._crop_resize.apply(image, raw.name), image.shape[:2]
+            image, full_shape = self._crop_resize.apply(image, raw.name), image.shape[:2]
         ignored = None
         if masks is not None:
             ignored = masks.ignored(raw.index, raw.name, raw.image.shape)
             ignored = self._crop_resize.apply_to_mask(ignored, raw.name)
         labels = None
-        if given is not None:
-            labels = given.labels(raw.index, raw.name, (raw.image.shape, image.shape))
+        if given_labels is not None:
+            labels = given_labels.labels(raw.index, raw.name, (raw.image.shape, image.shape))
         if labels is not None:
-            void = labels == VOID
-            labels = np.where(void, np.uint8(0), labels)
+            is_void = labels == VOID
+            labels = np.where(is_void, np.uint8(0), labels)
             if labels.shape != image.shape[:2]:
-                void = self._crop_resize.apply_to_mask(void, raw.name)
+                is_void = self._crop_resize.apply_to_mask(is_void, raw.name)
                 labels = self._crop_resize.apply_to_labels(labels, raw.name)
-            if void.any():
-                ignored = void if ignored is None else ignored | void
+            if is_void.any():
+                ignored = is_void if ignored is None else ignored | is_void
         return SourceFrame(
             index=raw.index,
             name=raw.name,
@@ -323,23 +325,23 @@ class FrameSource:
             image=image,
             ignored=ignored,
             labels=labels,
-            full_shape=full,
+            full_shape=full_shape,
         )
 
     def _check_count(self, count: int) -> None:
-        enough = self.chosen.start + self.chosen.step + 1
-        if count >= enough:
+        min_count = self.selection.start + self.selection.step + 1
+        if count >= min_count:
             return
         if count == 1 and len(self._reader.files) == 1 and self._reader.names is not None:
             _refuse_animation(self._reader.files[0])
         raise InputError(
             f"{self._reader.title} has {count} frame{'s' * (count != 1)}: expected at least "
-            f"{enough}, to make a pair"
+            f"{min_count}, to make a pair"
         )
 
 
 def _refuse_animation(file: Path) -> None:
-    """Raise ValueError if an image file has several frames: only the first one would be read."""
+    """Raise ValueError if an image file has several frames, because only the first can be read."""
     count = count_frames(file)
     if count > 1 and file.suffix.lower() == ".gif":
         raise InputError(
@@ -354,14 +356,14 @@ def _refuse_animation(file: Path) -> None:
         )
 
 
-def _chosen(start: int, stop: int | None, step: int) -> slice:
+def _check_selection(start: int, stop: int | None, step: int) -> slice:
     """Check start, stop and step; return them as a slice."""
-    for name, value, least, kind in (
+    for name, value, min_value, expected in (
         ("step", step, 1, "a positive integer"),
         ("start", start, 0, "the number of a frame, from 0"),
     ):
-        if not is_integer(value) or value < least:
-            raise InputError(f"{name} is {value!r}: expected {kind}")
+        if not is_integer(value) or value < min_value:
+            raise InputError(f"{name} is {value!r}: expected {expected}")
     if stop is not None and (not is_integer(stop) or stop < start + step + 1):
         raise InputError(
             f"stop is {stop!r}: expected at least {start + step + 1}, to make a pair of frames "

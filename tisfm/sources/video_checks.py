@@ -7,38 +7,42 @@ from tisfm.errors import InputError
 from tisfm.formats import FormatError
 
 
-def lacks_frames(count: int, announced: int | None) -> bool:
+def lacks_frames(count: int, stated_count: int | None) -> bool:
     """Return whether a video has fewer frames than it states.
 
-    Files state up to two frames, or 2 %, too many without being cut off.
+    A complete file may state up to two frames, or 2 % of its frames, too many.
     """
-    return announced is not None and count < announced - max(2, announced // 50)
+    return stated_count is not None and count < stated_count - max(2, stated_count // 50)
 
 
 def ends_early(
     count: int,  # number of frames
-    # last, end: time of the last frame, and the stated end, s, if known
-    last: float | None,
-    end: float | None,
+    # time of the last frame, and the stated end of the video, s, if known
+    last_time: float | None,
+    stated_end: float | None,
 ) -> bool | None:
     """Return whether the last frame is long before the stated end of a video; None if unknown."""
-    if last is None or end is None:
+    if last_time is None or stated_end is None:
         return None
     # Tolerance, set by hand: 2 % of the length and three frames.
-    return last < 0.98 * end - 3 * last / max(count - 1, 1)
+    return last_time < 0.98 * stated_end - 3 * last_time / max(count - 1, 1)
 
 
-def cut_off_error(path: str, after: str, total: str) -> ValueError:
+def cut_off_error(
+    path: str,
+    part: str,  # number of frames or time that was read, as text such as "12"
+    total: str,  # stated number or time with its unit, as text such as "30 frames"
+) -> ValueError:
     """Return the error for a video that ends before its stated end."""
     return InputError(
-        f"{path} ends after {after} of {total}: the file is cut off or damaged; the results up to "
+        f"{path} ends after {part} of {total}: the file is cut off or damaged; the results up to "
         "there are complete"
     )
 
 
 MAX_FRAME_PIXELS = 2**26
-"""Pixels of a frame beyond which no video is decoded, 8192 × 8192: a damaged file of kilobytes may
-state any size, and decoders hold up to 17 frames at once."""
+"""Maximum number of pixels of a video frame, 8192 × 8192. A damaged file of a few kilobytes can
+state any size, and decoders store up to 17 frames at once."""
 
 
 def refuse_large_frames(path: str, width: int, height: int) -> None:
@@ -50,11 +54,11 @@ def refuse_large_frames(path: str, width: int, height: int) -> None:
         )
 
 
-_MAX_ASPECT = 8.0  # files that state more, or less than the inverse, are damaged
+_MAX_ASPECT = 8.0  # longer side of a pixel over the shorter side; only damaged files state more
 
 
 def square_size(
-    # width, height: of the frame, px
+    # width and height of the frame, px
     width: int,
     height: int,
     aspect: float,  # Width of a pixel over its height. Values outside 1/8 to 8 count as 1.

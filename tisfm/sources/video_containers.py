@@ -1,4 +1,4 @@
-"""The structure of video files, read without a decoder: table of frames, number of streams."""
+"""The structure of video files, read without a decoder: frame tables and numbers of streams."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,7 +8,7 @@ from tisfm.formats.reading import open_file
 
 # Boxes that an MP4 or QuickTime file may begin with.
 _MP4_FIRST_BOXES = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot")
-# First box and brand of images in such a container: HEIC and AVIF.
+# First box and brand of HEIC and AVIF images, which have the same structure.
 _IMAGE_BRANDS = tuple(b"ftyp" + brand for brand in (b"heic", b"heix", b"mif1", b"avif"))
 # Elements of Matroska files, by their ids in the specification.
 _EBML = 0x1A45DFA3  # the header
@@ -18,15 +18,15 @@ _TRACK_ENTRY = 0xAE
 _TRACK_TYPE = 0x83
 _CLUSTER = 0x1F43B675  # frames; they come after the descriptions of the streams
 _VIDEO_TRACK = 1  # value of _TRACK_TYPE
-_MAX_BOXES = 100_000  # boxes or elements that are read of a file: a damaged one may have no end
+_MAX_BOXES = 100_000  # boxes or elements to read from a file: a damaged file may have endless ones
 
 
-def why_without_frames(path: str) -> str | None:
-    """Return why no frame of an MP4 or QuickTime file can be found; None if no reason is found.
+def reason_without_frames(path: str) -> str | None:
+    """Return why an MP4 or QuickTime file has no readable frames; None if no fault is found.
 
     Such a file ends with the moov box, the table of its frames, unless it was made for streaming.
-    The box is missing if a recording or a copy was interrupted. None also for other containers,
-    and for images in this one (HEIC, AVIF).
+    The box is missing if a recording or a copy was interrupted. Return None for all other files,
+    and for HEIC and AVIF images.
     """
     end = Path(path).stat().st_size
     with open_file(path) as file:
@@ -35,28 +35,28 @@ def why_without_frames(path: str) -> str | None:
         boxes = list(_boxes(file, 0, end))
     if not boxes or boxes[0][0] not in _MP4_FIRST_BOXES:
         return None
-    tables = [stop for kind, _, stop in boxes if kind == b"moov"]
-    if not tables:
+    table_ends = [stop for kind, _, stop in boxes if kind == b"moov"]
+    if not table_ends:
         return "it has no table of frames (no moov atom), so the recording was not finished"
-    if tables[0] > end:
+    if table_ends[0] > end:
         return "its table of frames (the moov atom) is cut off"
     return None
 
 
-def video_streams(path: str) -> int | None:
-    """Return the number of video streams of an MP4, QuickTime or Matroska file; None for others."""
+def count_video_streams(path: str) -> int | None:
+    """Count the video streams of an MP4, QuickTime or Matroska file; None for other files."""
     end = Path(path).stat().st_size
     with open_file(path) as file:
         beginning = file.read(8)
         if beginning[:4] == _EBML.to_bytes(4, "big"):
-            return _matroska_videos(file, end)
+            return _count_matroska_videos(file, end)
         if beginning[4:8] in _MP4_FIRST_BOXES:
-            return _mp4_videos(file, end)
+            return _count_mp4_videos(file, end)
     return None
 
 
 def _boxes(file: BinaryIO, begin: int, end: int) -> Iterator[tuple[bytes, int, int]]:
-    """Yield kind, begin of the content and end of the boxes of an MP4 file in a range of bytes."""
+    """Yield kind, content begin and end of each box of an MP4 file from byte `begin` to `end`."""
     for _ in range(_MAX_BOXES):
         if begin + 8 > end:
             return
@@ -72,10 +72,10 @@ def _boxes(file: BinaryIO, begin: int, end: int) -> Iterator[tuple[bytes, int, i
         begin = stop
 
 
-def _mp4_videos(file: BinaryIO, end: int) -> int:
+def _count_mp4_videos(file: BinaryIO, end: int) -> int:
     """Return the number of video tracks of an MP4 file."""
     return sum(
-        _handler(file, media, stop) == b"vide"
+        _handler_type(file, media, stop) == b"vide"
         for media, stop in _boxes_by_path(file, 0, end, (b"moov", b"trak", b"mdia", b"hdlr"))
     )
 
@@ -83,7 +83,7 @@ def _mp4_videos(file: BinaryIO, end: int) -> int:
 def _boxes_by_path(
     file: BinaryIO, begin: int, end: int, kinds: tuple[bytes, ...]
 ) -> Iterator[tuple[int, int]]:
-    """Yield begin and end of the boxes with a path of kinds, each inside the kind before it."""
+    """Yield content begin and end of boxes of the last kind, nested in boxes of earlier kinds."""
     for kind, content, stop in _boxes(file, begin, end):
         if kind != kinds[0] or stop > end:
             continue
@@ -93,22 +93,24 @@ def _boxes_by_path(
             yield from _boxes_by_path(file, content, stop, kinds[1:])
 
 
-def _handler(file: BinaryIO, begin: int, end: int) -> bytes:
+def _handler_type(file: BinaryIO, begin: int, end: int) -> bytes:
     file.seek(begin + 8)
     return file.read(4) if end - begin >= 12 else b""
 
 
-def _matroska_videos(file: BinaryIO, end: int) -> int:
+def _count_matroska_videos(file: BinaryIO, end: int) -> int:
     """Return the number of video tracks of a Matroska or WebM file."""
     count = 0
     for kind, begin, stop in _elements(file, 0, end):
         if kind != _SEGMENT:
             continue
-        for inner, first, last in _elements(file, begin, stop):
-            if inner == _CLUSTER:
+        for child, child_begin, child_end in _elements(file, begin, stop):
+            if child == _CLUSTER:
                 return count
-            for entry, inside, beyond in _elements(file, first, last) if inner == _TRACKS else ():
-                count += entry == _TRACK_ENTRY and _is_video(file, inside, beyond)
+            for entry, entry_begin, entry_end in (
+                _elements(file, child_begin, child_end) if child == _TRACKS else ()
+            ):
+                count += entry == _TRACK_ENTRY and _is_video(file, entry_begin, entry_end)
     return count
 
 
@@ -122,11 +124,11 @@ def _is_video(file: BinaryIO, begin: int, end: int) -> bool:
 
 
 def _elements(file: BinaryIO, begin: int, end: int) -> Iterator[tuple[int, int, int]]:
-    """Yield kind, begin of the content and end of the elements of a Matroska file."""
+    """Yield kind, content begin and end of each element of a Matroska file in a byte range."""
     for _ in range(_MAX_BOXES):
         file.seek(begin)
-        kind = _vint(file, with_marker=True)
-        size = _vint(file, with_marker=False)
+        kind = _read_integer(file, with_marker=True)
+        size = _read_integer(file, with_marker=False)
         content = file.tell()
         if kind is None or size is None or content > end:
             return
@@ -138,10 +140,11 @@ def _elements(file: BinaryIO, begin: int, end: int) -> Iterator[tuple[int, int, 
             return
 
 
-def _vint(file: BinaryIO, *, with_marker: bool) -> tuple[int, bool] | None:
-    """Return an integer of variable length, as Matroska has it, and whether all its bits are ones.
+def _read_integer(file: BinaryIO, *, with_marker: bool) -> tuple[int, bool] | None:
+    """Return a Matroska integer of variable length, and whether all its bits are ones.
 
-    The first bits of the first byte, the marker, state the length: ids keep them, sizes do not.
+    The first bits of the first byte are the marker, which states the length. An id includes the
+    marker; a size does not.
     """
     first = file.read(1)
     if not first or not first[0]:
@@ -151,5 +154,5 @@ def _vint(file: BinaryIO, *, with_marker: bool) -> tuple[int, bool] | None:
     if len(data) < length:
         return None
     value = int.from_bytes(data, "big")
-    rest = value & ((1 << 7 * length) - 1)
-    return (value if with_marker else rest), rest == (1 << 7 * length) - 1
+    unmarked = value & ((1 << 7 * length) - 1)
+    return (value if with_marker else unmarked), unmarked == (1 << 7 * length) - 1

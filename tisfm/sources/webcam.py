@@ -11,10 +11,11 @@ from tisfm.formats.images import silence_opencv
 from tisfm.sources.frame_reader import RawFrame, is_selected
 
 _WEBCAM = re.compile(r"webcam(?::(\d+))?", re.IGNORECASE)
-# All set by hand:
-_MIN_WAIT_RATIO = 0.25  # of a frame interval: a frame that arrives sooner was in the driver's queue
+# Set by hand.
+# Time until a frame arrives, over the frame interval: sooner frames were in the driver's queue.
+_MIN_WAIT_RATIO = 0.25
 _DEFAULT_RATE = 30.0  # frames/s, if the driver states no rate
-_MAX_QUEUED = 16  # frames that a driver may queue
+_MAX_QUEUED_FRAMES = 16  # frames that a driver may queue
 
 
 def webcam_number(source: str) -> int | None:
@@ -24,9 +25,9 @@ def webcam_number(source: str) -> int | None:
 
 
 class Webcam:
-    """A camera. Each frame is taken when the consumer needs it.
+    """A camera. Each frame is taken at the moment when the consumer needs it.
 
-    Frames that the driver queued meanwhile are dropped and do not count.
+    Frames that the driver queued before this moment are dropped and get no number.
 
     Raises OSError if the camera cannot be opened.
     """
@@ -35,10 +36,10 @@ class Webcam:
     names: tuple[str, ...] | None = None
     prefix = "webcam"
     count: int | None = None
-    announced: int | None = None
+    stated_count: int | None = None
     times: tuple[float, ...] | None = None
     notes: tuple[str, ...] = ()
-    ahead = False  # a frame that is read ahead would be old when it is used
+    can_read_ahead = False  # frames that are read ahead are too old when they are used
 
     def __init__(
         self,
@@ -47,39 +48,39 @@ class Webcam:
         self.title, self._number = f"webcam:{number}", number
         self._open().release()
 
-    def read(self, chosen: slice) -> Iterator[RawFrame]:
-        """Take frames until `chosen.stop`, or forever."""
+    def read(self, selection: slice) -> Iterator[RawFrame]:
+        """Take frames until `selection.stop`, or without end if it is None."""
         capture = self._open()
         rate = capture.get(cv2.CAP_PROP_FPS)
-        fresh = _MIN_WAIT_RATIO / (rate if rate > 0 else _DEFAULT_RATE)
-        index, first = 0, None
+        min_wait = _MIN_WAIT_RATIO / (rate if rate > 0 else _DEFAULT_RATE)
+        index, first_time = 0, None
         try:
-            while index != chosen.stop:
-                self._grab(capture, fresh)
+            while index != selection.stop:
+                self._grab(capture, min_wait)
                 now = time.monotonic()
-                first = now if first is None else first
-                if is_selected(index, chosen):
-                    read, frame = capture.retrieve()
-                    if not read:
+                first_time = now if first_time is None else first_time
+                if is_selected(index, selection):
+                    is_read, frame = capture.retrieve()
+                    if not is_read:
                         raise self._end_error()
                     yield RawFrame(
                         index=index,
                         name=f"{self.prefix}_{index:06d}",
                         image=cv2.cvtColor(frame, cv2.COLOR_BGR2RGB),
-                        time=now - first,
+                        time=now - first_time,
                     )
                     del frame
                 index += 1
         finally:
             capture.release()
 
-    def _grab(self, capture: cv2.VideoCapture, fresh: float) -> None:
-        """Drop queued frames: grab until the camera makes us wait `fresh` seconds or more."""
-        for _ in range(_MAX_QUEUED):
+    def _grab(self, capture: cv2.VideoCapture, min_wait: float) -> None:
+        """Drop queued frames: grab frames until one arrives after `min_wait` seconds or more."""
+        for _ in range(_MAX_QUEUED_FRAMES):
             begin = time.monotonic()
             if not capture.grab():
                 raise self._end_error()
-            if time.monotonic() - begin >= fresh:
+            if time.monotonic() - begin >= min_wait:
                 return
 
     def _end_error(self) -> OSError:

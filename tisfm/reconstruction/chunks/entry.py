@@ -321,7 +321,7 @@ def _selected_frames(source: FrameSource) -> tuple[range, list[float | None]]:
     The number of frames of a video is known only after it is read.
     """
     if source.names is not None:
-        frame_range = range(len(source.frame_files))[source.chosen]
+        frame_range = range(len(source.frame_files))[source.selection]
         return frame_range, list(source.times or (None,) * len(frame_range))
     frames_read: list[tuple[int, float | None]] = []
     with closing(source.frames()) as frames:
@@ -332,7 +332,7 @@ def _selected_frames(source: FrameSource) -> tuple[range, list[float | None]]:
     )
     if not frames_read:
         raise InputError(f"{source.title} has no frame that can be read: expected at least 2")
-    return range(last + 1)[source.chosen], [time for _, time in frames_read]
+    return range(last + 1)[source.selection], [time for _, time in frames_read]
 
 
 def _refuse_float_frames(source: FrameSource) -> None:

@@ -54,10 +54,12 @@ def make_request(
         "version": __version__,
         "arch": arch or os.environ.get("TI_ARCH", "cpu"),
         "lanes": runtime.cpu_lanes(),
-        "frames": files_digest(frame_files if frames.names is None else frame_files[frames.chosen]),
-        "start": frames.chosen.start,
-        "stop": frames.chosen.stop,
-        "step": frames.chosen.step,
+        "frames": files_digest(
+            frame_files if frames.names is None else frame_files[frames.selection]
+        ),
+        "start": frames.selection.start,
+        "stop": frames.selection.stop,
+        "step": frames.selection.step,
         "camera": camera_record,
         "settings": asdict(settings),
         "poses": None if poses is None else _trajectory_digest(poses),
