@@ -8,25 +8,24 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any
 
-Work = Callable[[], Any]
-_SWITCH_INTERVAL = (
-    5e-4  # s: kernels hold Python's lock, and a waiting thread asks for it at this interval
-)
+Job = Callable[[], Any]
+# s: interval at which a waiting thread requests Python's lock, which kernels hold.
+_SWITCH_INTERVAL = 5e-4
 
 
 class BackgroundThread:
     """A thread that does jobs in order while the block runs.
 
-    One job runs, and one may wait; `submit` blocks on a third job, so that memory holds two at
-    most. Leaving the block waits for both jobs, after an error and after Ctrl-C as well: every
-    submitted job is completed. A second Ctrl-C drops the waiting job. After a job has failed, no
-    other job begins, and its error is raised by the next `submit`, or at the end of the block.
+    One job runs, and one job may wait; `submit` blocks on a third job, so that memory has the data
+    of few jobs. The end of the block waits for both jobs, also after an error and after Ctrl-C:
+    every submitted job is completed. A second Ctrl-C drops the waiting job. After a job has failed,
+    no other job begins. The next `submit`, or the end of the block, raises the error of this job.
 
     Within the block, Python switches threads ten times as often as usual (`sys.setswitchinterval`).
     """
 
     def __init__(self) -> None:
-        self._jobs: queue.Queue[Work | None] = queue.Queue(maxsize=1)
+        self._jobs: queue.Queue[Job | None] = queue.Queue(maxsize=1)
         self._error: BaseException | None = None
         self._is_abandoned = False
         self._thread = threading.Thread(target=self._work, name="tisfm-writer")
@@ -42,13 +41,13 @@ class BackgroundThread:
 
         Raises BaseException: the error of an earlier job.
         """
-        self._raise()
+        self._raise_job_error()
         self._jobs.put(lambda: function(*arguments, **options))
 
     def wait(self) -> None:
-        """Wait until all jobs are done; raise the error of a failed one."""
+        """Wait until all jobs are done; raise the error of a failed job."""
         self._jobs.join()
-        self._raise()
+        self._raise_job_error()
 
     def __enter__(self) -> "BackgroundThread":
         self._thread.start()
@@ -76,9 +75,9 @@ class BackgroundThread:
         finally:
             sys.setswitchinterval(self._previous_interval)
         if error is None:
-            self._raise()
+            self._raise_job_error()
 
-    def _raise(self) -> None:
+    def _raise_job_error(self) -> None:
         if self._error is not None:
             raise self._error
 
@@ -89,5 +88,5 @@ class BackgroundThread:
                     job()
                 except BaseException as error:
                     self._error = error
-            del job  # or it would stay in memory during the wait for the next
+            del job  # free its memory before the wait for the next job
             self._jobs.task_done()

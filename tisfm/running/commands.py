@@ -1,4 +1,4 @@
-"""Commands of tisfm in processes of their own, several at a time."""
+"""Commands of tisfm, each in its own process, several at a time."""
 
 import os
 import signal
@@ -15,10 +15,10 @@ from tisfm.folders.run_record import RECORD
 from tisfm.reconstruction.result.folder import REQUEST
 from tisfm.reconstruction.result.renewal import CHUNKS
 
-MAX_ATTEMPTS = 3  # for a command whose process was killed; set by hand
+MAX_ATTEMPTS = 3  # attempts at a command whose process was killed; set by hand
 NOTE = "note: "  # beginning of a line with a note on how a source is read
 _USER_SIGNALS = (-signal.SIGINT, -signal.SIGTERM)  # exit codes after a signal of the user
-# With ``python -m``, a module in the working folder could replace one of Python. Here it cannot.
+# Unlike with ``python -m``, a module in the working folder cannot replace a module of Python.
 _PROGRAM = (
     "import sys; sys.path.remove(''); from tisfm.cli.command_line import main; sys.exit(main())"
 )
@@ -29,15 +29,16 @@ class FinishedCommand:
     """How a command ended: its exit code and its last messages."""
 
     exit_code: int
-    message: str  # the line that names the results, or else the last line
-    notes: list[str]  # lines with notes on how the source was read
+    message: str  # the line that names the folder of results, or else the last line
+    notes: list[str]  # lines with notes on the reading of the source
 
 
 class CommandProcesses:
     """Runs commands in `count` processes at a time.
 
-    If an exception leaves the block, its processes are terminated, and no other one begins. Within
-    the block SIGTERM raises KeyboardInterrupt, as Ctrl-C does, so that no process stays behind.
+    After an exception in the block, its processes are terminated, and no further process begins.
+    Within the block, SIGTERM raises KeyboardInterrupt, as Ctrl-C does, so that the block ends all
+    processes.
     """
 
     def __init__(self, count: int) -> None:
@@ -51,7 +52,7 @@ class CommandProcesses:
         self._contexts.enter_context(_sigterm_as_interrupt())
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *about: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *details: object) -> None:
         with self._contexts:
             if kind is not None:
                 with self._lock:
@@ -61,11 +62,11 @@ class CommandProcesses:
             self._executor.shutdown(cancel_futures=True)
 
     def submit(self, arguments: Sequence[str], output: Path) -> Future[FinishedCommand]:
-        """Run a command that writes to a folder; continue it if its process is killed."""
+        """Run a command that writes to a folder; resume it if its process is killed."""
         return self._executor.submit(self._run, list(arguments), output)
 
     def _run(self, arguments: list[str], output: Path) -> FinishedCommand:
-        finished = FinishedCommand(exit_code=1, message="", notes=[])
+        result = FinishedCommand(exit_code=1, message="", notes=[])
         before = _output_state(output)
         for _ in range(MAX_ATTEMPTS):
             with self._lock:
@@ -83,16 +84,16 @@ class CommandProcesses:
             finally:
                 with self._lock:
                     self._processes.discard(process)
-            finished = _finished(process.returncode, errors.decode("utf-8", "replace"))
-            if finished.exit_code >= 0 or finished.exit_code in _USER_SIGNALS:
+            result = _command_result(process.returncode, errors.decode("utf-8", "replace"))
+            if result.exit_code >= 0 or result.exit_code in _USER_SIGNALS:
                 break
             if "--resume" not in arguments and _output_state(output) != before:
-                arguments.append("--resume")  # first pairs or chunks are written
-        return finished
+                arguments.append("--resume")  # the process has written pairs or chunks
+        return result
 
 
-def _finished(exit_code: int, errors: str) -> FinishedCommand:
-    """Return the end of a command that wrote these lines to standard error."""
+def _command_result(exit_code: int, errors: str) -> FinishedCommand:
+    """Return the end of a command, from its lines on standard error."""
     lines = [line for line in errors.split("\n") if line.strip()]
     results = [line for line in lines if "Results in " in line]
     return FinishedCommand(
@@ -103,7 +104,7 @@ def _finished(exit_code: int, errors: str) -> FinishedCommand:
 
 
 def _output_state(output: Path) -> list[tuple[int, int, int] | None]:
-    """Return a state that changes when the record of a run or of a run in chunks is written."""
+    """Return the state of the record of a run or of chunks; each writing changes the state."""
     states: list[tuple[int, int, int] | None] = []
     for path in (output / RECORD, output / CHUNKS / REQUEST):
         try:

@@ -27,21 +27,24 @@ from tisfm.sources.webcam import webcam_number
 from tisfm.threads import usable_cores
 from tisfm.version import __version__
 
-_OPEN_END = 2**62  # beyond the number of any pair
-_MAX_PAIRS_WRITTEN = 32  # in a chunk: a killed process loses them; set by hand
-_MAX_PAIRS_RETURNED = 4  # in a chunk: memory holds all their results; set by hand
-_CHUNKS_PER_WORKER = 4  # at least, so that no process waits long for the last chunk; set by hand
+_OPEN_END = 2**62  # larger than the number of any pair
+# Pairs of a chunk with written results: a killed process loses its chunk. Set by hand.
+_MAX_PAIRS_WRITTEN = 32
+# Pairs of a chunk with returned results: all these results are in memory. Set by hand.
+_MAX_PAIRS_RETURNED = 4
+# Smallest number of chunks, so that no process waits long for the last chunk. Set by hand.
+_MIN_CHUNKS_PER_WORKER = 4
 
 
 @dataclass(frozen=True, kw_only=True)
 class Chunk:
-    """Consecutive pairs of a source, and all that a process needs to interpret them."""
+    """Consecutive pairs of a source, and all data that a process needs for their interpretation."""
 
     source: PairSource
-    work: PairWork  # without files, results are returned instead of written
+    work: PairWork  # if it has no files, results are returned instead of written
     first: int  # number of the first pair
-    # Number of the last pair plus 1. In the last chunk it is larger than any number: a video may
-    # have more frames than its header states.
+    # Number of the last pair plus 1. In the last chunk this is `_OPEN_END`, since a video may have
+    # more frames than its header states.
     end: int
     # arch, threads: as for `tisfm.runtime.start`
     arch: Arch | None
@@ -51,7 +54,7 @@ class Chunk:
     # record entries of the pairs that an earlier run finished, by their names
     finished_entries: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     presence: Path = Path()  # a file that exists as long as the parent process waits for the chunk
-    # float32 values in a vector register of the parent process's CPU; all processes need as many
+    # float32 values in a vector register of the parent's CPU; all processes need this number
     lanes: int = field(default_factory=runtime.cpu_lanes)
     version: str = __version__  # version of tisfm in the parent process
 
@@ -76,33 +79,34 @@ class FinishedPair:
     """A pair that a worker finished."""
 
     name: str
-    # its entry in the record of the run; None if an earlier run finished it
+    # entry of the pair in the record of the run; None if an earlier run finished the pair
     entry: Mapping[str, Any] | None = None
-    sums: Checksums | None = None  # lengths and check sums of its files
-    result: Interpretation | None = None  # the result, if it is returned instead of written
+    checksums: Checksums | None = None  # lengths and check sums of the pair's files
+    result: Interpretation | None = None  # None if the result is written instead of returned
     seconds: float = 0.0  # time of the interpretation
 
 
 @dataclass(frozen=True, kw_only=True)
 class FinishedChunk:
-    """A chunk that a worker finished, or the part of it before an error."""
+    """The pairs that a worker finished: a chunk, or the part of a chunk before an error."""
 
     pairs: list[FinishedPair]
-    # list of (int, str): numbers of the frames that the process has skipped so far, with the
-    # reasons
+    # list of (int, str): numbers of all frames that the process has skipped so far, and reasons
     skipped: list[tuple[int, str]]
     error: Exception | None = None  # the error that ended the chunk early
 
 
 def split_chunk(remaining: Chunk, workers: int) -> list[Chunk]:
-    """Split a chunk with all remaining pairs into the chunks that processes take in turns."""
+    """Split a chunk with all remaining pairs into chunks for the processes."""
     max_pairs = _MAX_PAIRS_RETURNED
     if remaining.work.files is not None:
         max_pairs = _MAX_PAIRS_WRITTEN
-        files = replace(remaining.work.files, inputs=InputFiles())  # each process lists them itself
+        files = replace(
+            remaining.work.files, inputs=InputFiles()
+        )  # each process makes its own list
         remaining = replace(remaining, work=replace(remaining.work, files=files))
     count = remaining.end - remaining.first
-    length = max(1, min(max_pairs, -(-count // (_CHUNKS_PER_WORKER * workers))))
+    length = max(1, min(max_pairs, -(-count // (_MIN_CHUNKS_PER_WORKER * workers))))
     ends = [*range(remaining.first + length, remaining.end, length), _OPEN_END]
     begins = [remaining.first, *ends[:-1]]
     return [
@@ -116,20 +120,20 @@ def interpret_chunk(chunk: Chunk) -> FinishedChunk:
     reader: _PairReader | None = None
     error: Exception | None = None
     try:
-        own_lanes = runtime.cpu_lanes() if chunk.arch in (None, "cpu") else chunk.lanes
-        check_worker(chunk.version, chunk.presence, lanes=chunk.lanes, own_lanes=own_lanes)
+        worker_lanes = runtime.cpu_lanes() if chunk.arch in (None, "cpu") else chunk.lanes
+        check_worker(chunk.version, chunk.presence, lanes=chunk.lanes, worker_lanes=worker_lanes)
         runtime.start_worker(chunk.arch, threads=chunk.threads)
         reader = _reader_for(chunk)
-        while (pair := reader.next_of(chunk)) is not None and chunk.presence.exists():
+        while (pair := reader.next_in_chunk(chunk)) is not None and chunk.presence.exists():
             pairs.append(_finish(chunk, pair, reader.inputs))
             del pair
         if not chunk.presence.exists():
-            _close_reader()  # no other chunk of this run will come
-    except Exception as raised:
+            _close_reader()  # this run has no further chunks
+    except Exception as exception:
         _close_reader()
-        if not is_user_error(raised):
+        if not is_user_error(exception):
             raise
-        error = sendable_error(raised)  # the pairs before it are not lost
+        error = sendable_error(exception)  # returned with the pairs before the error
     skipped = [] if reader is None else list(reader.skipped)
     return FinishedChunk(pairs=pairs, skipped=skipped, error=error)
 
@@ -159,8 +163,8 @@ def interpret_with_workers(
         threads=max(1, usable_cores() // workers),
         listing=pairs.listing,
     )
-    reported: set[int] = set()
-    waiting: dict[int, FinishedChunk] = {}
+    reported_frames: set[int] = set()
+    chunks_by_number: dict[int, FinishedChunk] = {}
     next_number = 0
     with (
         open_pool(workers) as pool,
@@ -168,15 +172,15 @@ def interpret_with_workers(
         presence_file(Path(folder)) as presence,
     ):
         chunks = split_chunk(replace(remaining, presence=presence), workers)
-        with closing(pool.map_unordered(interpret_chunk, chunks)) as finished:
-            for number, chunk_result in finished:
-                waiting[number] = chunk_result
-                while next_number in waiting:
-                    chunk = waiting.pop(next_number)
+        with closing(pool.map_unordered(interpret_chunk, chunks)) as results:
+            for number, chunk_result in results:
+                chunks_by_number[number] = chunk_result
+                while next_number in chunks_by_number:
+                    chunk = chunks_by_number.pop(next_number)
                     next_number += 1
                     for index, reason in chunk.skipped:
-                        if index not in reported:
-                            reported.add(index)
+                        if index not in reported_frames:
+                            reported_frames.add(index)
                             yield reason
                     yield from (pair.result for pair in chunk.pairs if pair.result is not None)
                     if chunk.error is not None:
@@ -198,7 +202,7 @@ def check_sharable(source: Source, pairs: FrameSource) -> int:
         )
     try:
         return len(pairs)
-    except TypeError:  # the number is known only after reading
+    except TypeError:  # the number is unknown before all frames are read
         raise InputError(
             f"{pairs.title} does not say how many frames it has: leave out workers"
         ) from None
@@ -214,7 +218,7 @@ def refuse_float_frames(pair: FramePair) -> None:
 
 
 def _absolute(source: Source) -> Source:
-    """Return a path, or several, as absolute paths."""
+    """Return a path or a list of paths as absolute paths."""
     if isinstance(source, (str, os.PathLike)):
         return os.path.abspath(source)
     return [os.path.abspath(path) for path in source]  # type: ignore[arg-type]
@@ -235,34 +239,34 @@ def _finish(chunk: Chunk, pair: FramePair, inputs: InputFiles) -> FinishedPair:
     begin = perf_counter()
     result = work.interpret(pair)
     seconds = perf_counter() - begin
-    entry, sums = files.write(
+    entry, checksums = files.write(
         name, result, ranges=chunk.ranges, **work.write_arguments(pair, number)
     )
-    return FinishedPair(name=name, entry=entry, sums=sums, seconds=seconds)
+    return FinishedPair(name=name, entry=entry, checksums=checksums, seconds=seconds)
 
 
 class _PairReader:
-    """Reads the pairs of a source in order. A process skips the pairs of other processes."""
+    """A reader of the pairs of a source, in order. It skips the pairs of other processes."""
 
     def __init__(self, chunk: Chunk) -> None:
-        # The files are compared before anything depends on them.
+        # This check of the files comes before any use of the files.
         source = FrameSource(chunk.source.source, stop=chunk.source.frames.stop)
         chunk.listing.check(source.listing, source.title)
         self._source = chunk.source
-        self._opened, self._pairs = chunk.source.starting_at(chunk.first).open()
-        self._opened.allow_no_pairs()
+        self._frame_source, self._pairs = chunk.source.starting_at(chunk.first).open()
+        self._frame_source.allow_no_pairs()
         self._next_pair: FramePair | None = None
         self.presence = chunk.presence
         self.position = chunk.first
         poses = [] if chunk.source.poses is None else [chunk.source.poses]
-        self.inputs = InputFiles([*self._opened.files, *poses])
+        self.inputs = InputFiles([*self._frame_source.files, *poses])
 
     @property
     def skipped(self) -> list[tuple[int, str]]:
-        """Numbers of the frames that were skipped so far, with the reasons."""
-        return self._opened.skipped
+        """Numbers of all frames that were skipped so far, and the reasons."""
+        return self._frame_source.skipped
 
-    def next_of(self, chunk: Chunk) -> FramePair | None:
+    def next_in_chunk(self, chunk: Chunk) -> FramePair | None:
         """Return the next pair of a chunk; None after the last pair."""
         while True:
             pair, self._next_pair = self._next_pair or next(self._pairs, None), None
@@ -278,20 +282,20 @@ class _PairReader:
             del pair
 
     def close(self) -> None:
-        """End the thread that reads ahead."""
+        """End the read-ahead thread."""
         self._pairs.close()
 
 
-_thread_state = threading.local()  # the reader that a thread keeps between two chunks
+_thread_state = threading.local()  # .reader: reader of a thread, kept from chunk to chunk
 
 
 def _reader_for(chunk: Chunk) -> _PairReader:
-    """Return a reader that is not beyond the chunk: this thread's last reader, if possible."""
+    """Return a reader at or before the chunk: this thread's last reader, if possible."""
     last: _PairReader | None = getattr(_thread_state, "reader", None)
     if last is not None and last.presence == chunk.presence and last.position <= chunk.first:
         return last
     _close_reader()
-    atexit.register(_close_reader)  # modules are unloaded too early to close it at exit
+    atexit.register(_close_reader)  # a destructor would run after modules are unloaded
     reader = _thread_state.reader = _PairReader(chunk)
     return reader
 

@@ -34,39 +34,39 @@ if TYPE_CHECKING:
 
 
 DEFAULT_OUTPUTS = tuple(output for output in ENDINGS if output not in ("flow", "ply"))
-"""Default outputs: all except large files whose content is in the ``.npz`` as well."""
+"""Default outputs: all except large files whose content is also in the ``.npz``."""
 
 Checksums = dict[str, tuple[int, int]]  # length, bytes, and CRC-32 of files, by their endings
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ranges:
-    """Ranges of values that pictures show: one for a whole sequence, so that nothing flickers."""
+    """Ranges of values in images, common to a whole sequence, so that images do not flicker."""
 
-    # The inverse depth that is shown brightest, in multiples of the mean inverse depth of the pair.
-    # If poses are given, in 1/unit of the poses.
+    # the inverse depth with the brightest grey, in multiples of the mean inverse depth of the pair,
+    # or, if the user gave poses, in 1/unit of the poses
     depth: float
-    depth16: float  # values of a 16-bit picture per unit of depth
-    flow: float  # the speed that is shown in the strongest colour, px/frame
+    depth16: float  # values of a 16-bit image per unit of depth
+    flow: float  # the speed with the strongest colour, px/frame
     screen: float  # the inverse depth of the screen plane of anaglyphs, in the unit of `depth`
 
     @classmethod
     def of(
         cls, result: Interpretation, *, has_unit: bool, screen: float | None = None
     ) -> "Ranges | None":
-        """Return the ranges that suit a pair; None if the pair has no depth.
+        """Return the ranges of the values of a pair; None without depth.
 
         `screen` is the quantile of depth at the screen plane. By default the inverse depth of this
         plane is half of the brightest inverse depth.
         """
         if not has_drawable_depth(result):
             return None
-        level = _depth_unit(result, has_unit)
-        depth = inverse_depth_limit(result.inverse_depth) / level
+        unit = _depth_unit(result, has_unit)
+        depth = inverse_depth_limit(result.inverse_depth) / unit
         screen_inverse = depth / 2
         if screen is not None:
-            checksum = result.inverse_depth[result.inverse_depth > 0]
-            screen_inverse = float(np.quantile(checksum, screen)) / level
+            depths = result.inverse_depth[result.inverse_depth > 0]
+            screen_inverse = float(np.quantile(depths, screen)) / unit
         return cls(
             depth=depth,
             depth16=choose_depth_scale(result.depth),
@@ -75,7 +75,7 @@ class Ranges:
         )
 
     def depth_limit(self, result: Interpretation, *, has_unit: bool) -> float | None:
-        """Return the inverse depth that is shown brightest in a pair; None without depth."""
+        """Return the inverse depth with the brightest grey in a pair; None without depth."""
         if not has_drawable_depth(result):
             return None
         return float(self.depth * _depth_unit(result, has_unit))
@@ -90,17 +90,17 @@ class Ranges:
 
 def has_drawable_depth(result: Interpretation) -> bool:
     """Return whether a pair has depth that may be drawn."""
-    wrong = result.status in ("diverged", "pose_mismatch")
-    return not wrong and bool((result.inverse_depth > 0).any())
+    is_wrong = result.status in ("diverged", "pose_mismatch")
+    return not is_wrong and bool((result.inverse_depth > 0).any())
 
 
 @dataclass(frozen=True, kw_only=True)
 class PairFiles:
-    """Writes the files of pairs into a folder."""
+    """The files of pairs in a folder, and their writing."""
 
     folder: Path
     outputs: tuple[str, ...]  # the outputs of a pair: keys of `ENDINGS`
-    figures: int  # one pair in this many has a figure, the first pair included; 0 for no figures
+    figures: int  # pairs per figure: the first of them has the figure; 0 for no figures
     has_pose: bool  # whether interpretations have rigid motions
     # disparity, screen: parameters of anaglyphs: the disparity range as a share of the width, and
     # the quantile of depth at the screen plane, in the first pair with depth
@@ -126,14 +126,14 @@ class PairFiles:
         name: str,  # beginning of the file names
         result: Interpretation,
         *,
-        ranges: Ranges | None,  # none before the first pair with depth
+        ranges: Ranges | None,  # None before the first pair with depth
         number: int = 0,  # number of the pair in the run; it decides whether the pair has a figure
         digest: str | None = None,  # hash of the pair's frames and pose
-        times: tuple[float, float] | None = None,  # times of its frames, s
-        # (4, 4): the motion that was given to the interpretation. Depth then has the unit of the
-        # poses, the same in all pairs.
+        times: tuple[float, float] | None = None,  # times of the pair's frames, s
+        # (4, 4): the motion that the interpretation used. Then depth has the unit of the poses, the
+        # same in all pairs.
         pose: np.ndarray | None = None,
-        # (H, W, 2): horn and Schunck's flow, for the figure of ``motion="field"``
+        # (H, W, 2): flow of Horn and Schunck, for the figure of ``motion="field"``
         baseline_flow: np.ndarray | None = None,
         truth_flow: np.ndarray | None = None,  # (H, W, 2): the true flow, for the figure
         # (H, W): the true inverse depth, for the figure
@@ -220,7 +220,7 @@ class PairFiles:
 
 
 def check_outputs(outputs: Collection[str]) -> tuple[str, ...]:
-    """Return outputs in the order in which they are written; ValueError for unknown ones."""
+    """Return outputs in the order of their writing; ValueError for unknown outputs."""
     unknown = sorted(set(outputs) - set(ENDINGS))
     if unknown or not outputs:
         fault = "no output is given"
@@ -234,29 +234,29 @@ def _summary(result: Interpretation) -> dict[str, Any]:
     """Return the values of a pair, except its status, for the table of a run."""
     with np.errstate(over="ignore"):
         speed = np.sqrt(result.flow[..., 0] ** 2 + result.flow[..., 1] ** 2)
-    finite = np.isfinite(speed)
-    mean = np.mean(speed, where=finite, dtype=np.float64) if finite.any() else np.nan
+    is_finite = np.isfinite(speed)
+    mean_speed = np.mean(speed, where=is_finite, dtype=np.float64) if is_finite.any() else np.nan
     return {
-        "speed": _rounded(float(mean)),
-        "occluded": _rounded(np.count_nonzero(result.occlusion) / result.occlusion.size),
-        "confidence": _rounded(result.confidence.mean(dtype=np.float64)),
+        "speed": _round(float(mean_speed)),
+        "occluded": _round(np.count_nonzero(result.occlusion) / result.occlusion.size),
+        "confidence": _round(result.confidence.mean(dtype=np.float64)),
         "twists": _finite_list(result.motions),
     }
 
 
-def _rounded(value: float) -> float | None:
-    """Return a number with six digits, for a reader."""
+def _round(value: float) -> float | None:
+    """Return a number with six significant digits, for a reader; None if it is not finite."""
     return float(f"{value:.6g}") if np.isfinite(value) else None
 
 
 def _figure(
-    name: str, result: Interpretation, *, baseline_flow: np.ndarray | None, **shown: Any
+    name: str, result: Interpretation, *, baseline_flow: np.ndarray | None, **options: Any
 ) -> "Figure":
-    """Draw the figure for the motion model; `shown` has the truth and limits."""
+    """Draw the figure for the motion model; `options` has the truth and the limits."""
     arrays = result.frame, result.inverse_depth, result.flow
     if result.motions is None or result.inverse_depth_std is None:
         return comparison_figure(
-            *arrays, occlusion=result.occlusion, baseline_flow=baseline_flow, title=name, **shown
+            *arrays, occlusion=result.occlusion, baseline_flow=baseline_flow, title=name, **options
         )
     return rigid_figure(
         *arrays,
@@ -265,16 +265,16 @@ def _figure(
         labels=result.labels,
         occlusion=result.occlusion,
         title=name if result.status == "converged" else f"{name} ({result.status})",
-        **shown,
+        **options,
     )
 
 
 def _depth_unit(result: Interpretation, has_unit: bool) -> float:
     """Return the unit in which inverse depth is shown.
 
-    Each pair has a scale of its own, ‖T‖ = 1: a camera that speeds up would make all pictures
-    brighter. Division by the mean inverse depth removes this scale; pixels without depth count as
-    infinitely far. With known poses the unit is 1.
+    Each pair has its own scale, ‖T‖ = 1, so images would get brighter if the camera speeds up.
+    Division by the mean inverse depth removes this scale; pixels without depth have the inverse
+    depth 0. With known poses the unit is 1.
     """
     if has_unit:
         return 1.0
@@ -283,20 +283,20 @@ def _depth_unit(result: Interpretation, has_unit: bool) -> float:
 
 
 def _finite_list(numbers: np.ndarray | None) -> list[Any] | None:
-    """Return numbers as JSON can hold them; it has no NaN."""
+    """Return numbers as JSON values; None if any number is not finite."""
     return None if numbers is None or not np.isfinite(numbers).all() else numbers.tolist()
 
 
 def motion_rows(
     result: Interpretation,
     *,
-    # (4, 4): the motion that was given to the interpretation. It replaces the first motion, because
-    # `Interpretation.motions` does not keep the length of the translation.
+    # (4, 4): the motion that the interpretation used. It replaces the first motion, since
+    # `Interpretation.motions` does not have the length of the translation.
     pose: np.ndarray | None = None,
 ) -> np.ndarray | None:
     """Return the rigid motions of a result as rows of numbers.
 
-    Returns (K, 12) float64, or None for ``motion="field"``. Each row holds the three rows of (R |
+    Returns (K, 12) float64, or None for ``motion="field"``. Each row has the three rows of (R |
     t): P₁ = R P₀ + t, with t in the unit of `Interpretation.depth`; NaN where the interpretation
     diverged.
     """
@@ -316,7 +316,7 @@ def write_motions(
     path: str | os.PathLike[str],
     rows: np.ndarray,  # (K, 12)
 ) -> None:
-    """Write motions as text, a line of twelve numbers for each motion; atomically.
+    """Write motions as text, atomically: a line of twelve numbers for each motion.
 
     Raises OSError if the file cannot be written.
     """

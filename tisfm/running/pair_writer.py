@@ -1,4 +1,4 @@
-"""The folder that `tisfm run` and `tisfm demo` write: its files, its record, and common ranges."""
+"""The writer of the folder of `tisfm run` and `tisfm demo`: files, record, and common ranges."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
@@ -20,7 +20,7 @@ from tisfm.settings import Settings
 from tisfm.show.stereo import DISPARITY
 from tisfm.version import __version__
 
-_RANGES = ("depth16", "depth", "flow", "screen")  # in the order of `RANGE_KEYS`
+_RANGE_FIELDS = ("depth16", "depth", "flow", "screen")  # in the order of `RANGE_KEYS`
 
 
 class PairWriter:
@@ -29,54 +29,52 @@ class PairWriter:
     The files of a pair named ``name`` are ``name_depth16.png`` (16-bit depth, with its scale in the
     file and in the record), ``name_depth.png`` (grey levels, near is bright), ``name_flow.flo``,
     ``name_anaglyph.png``, ``name_figure.png``, ``name.ply``, for rigid motions ``name_pose.txt``,
-    and last ``name.npz``. The record, ``run.json``, holds settings, camera and ranges. For every
-    finished pair it holds the status, the rigid motions, a hash of the frames, and the check sums
+    and last ``name.npz``. The record, ``run.json``, has settings, camera and ranges, and an entry
+    for every finished pair: the status, the rigid motions, a hash of the frames, and the check sums
     of the files. A pair without an entry is not complete.
 
-    The writer is a context manager, which locks the folder. The files of an earlier run in it are
-    removed when the first pair is written, unless that run is resumed.
+    The writer is a context manager, which locks the folder. Unless it resumes an earlier run, it
+    removes the files of this run before it writes the first pair.
 
     Raises OSError if the folder cannot be made or written to; at the beginning of the block, if
     another run writes to it.
 
     Raises ValueError if an output file is one of `inputs`; at the beginning of the block, if
-    `resume` is set and the folder holds a run with another camera or other options.
+    `resume` is set and the folder has a run with another camera or other options.
     """
 
     def __init__(
         self,
-        folder: str | Path,  # made if it does not exist
+        folder: str | Path,  # created if it does not exist
         *,
         camera: Camera,  # the camera of the interpreted frames
         settings: Settings,
-        # (Camera, (int, int)): the camera of the source's frames, before they are cropped and
-        # shrunk, and their height and width, px
+        # camera, height and width (px) of the source's frames, before crop and reduction
         source: tuple[Camera, tuple[int, int]] | None = None,
         window: int = 2,  # number of frames of an interpretation
         outputs: Collection[str] = DEFAULT_OUTPUTS,  # the outputs of a pair: keys of `ENDINGS`
-        # one pair in this many has a figure, the first pair included; 0 for no figures
-        figures: int = 1,
+        figures: int = 1,  # pairs per figure: the first of them has the figure; 0 for no figures
         # disparity, screen: parameters of anaglyphs, as for `PairFiles`
         disparity: float = DISPARITY,
         screen: float | None = None,
-        # start, step: number of the first selected frame of the source, and the step to the next
+        # start, step: number of the first selected frame, and frames from one to the next
         start: int = 0,
         step: int = 1,
-        resume: bool = False,  # continue an interrupted run: keep its ranges and its finished pairs
+        resume: bool = False,  # whether to keep ranges and finished pairs of an interrupted run
         inputs: InputFiles | None = None,  # files that no result may replace
-        # Names of the coming pairs, as far as they are known. Their files are compared with
-        # `inputs` before anything is written, and once more when they are written.
+        # known names of coming pairs: their files are compared with `inputs` before the run writes
+        # any file, and once more at their writing
         names: Iterable[str] = (),
         notes: Sequence[str] = (),
     ) -> None:
         self.folder, self.camera = Path(folder), camera
         self._inputs = inputs or InputFiles()
-        chosen = check_outputs(outputs)
+        valid_outputs = check_outputs(outputs)
         # writes the files of a pair without the record
         self.files = PairFiles(
             folder=self.folder,
-            outputs=chosen,
-            figures=figures if "figure" in chosen else 0,
+            outputs=valid_outputs,
+            figures=figures if "figure" in valid_outputs else 0,
             has_pose=settings.motion != "field",
             disparity=disparity,
             screen=screen,
@@ -95,21 +93,21 @@ class PairWriter:
             "source": None if source is None else _source_record(*source),
             "settings": asdict(settings),
             "window": window,
-            "outputs": list(chosen),
+            "outputs": list(valid_outputs),
             "figures": self.files.figures,
             "start": start,
             "step": step,
-            # Runs without anaglyphs do not depend on them.
-            "disparity": disparity if "anaglyph" in chosen else None,
-            "screen": screen if "anaglyph" in chosen else None,
+            # The parameters of anaglyphs matter only for runs with anaglyphs.
+            "disparity": disparity if "anaglyph" in valid_outputs else None,
+            "screen": screen if "anaglyph" in valid_outputs else None,
         }
         self._earlier: list[Path] = []
         self._record = RunRecord(self.folder, request, notes)
         self._contexts = ExitStack()
         self._resume = self._is_begun = resume
-        self._has_report = True  # until it is checked
+        self._has_report = True  # also if unknown
 
-    def result_of(self, name: str) -> Path:
+    def result_path(self, name: str) -> Path:
         """Return the file of a pair's interpretation."""
         return self.folder / f"{name}.npz"
 
@@ -117,7 +115,7 @@ class PairWriter:
         """Return whether an earlier run finished this pair, as in `RunRecord.is_complete`."""
         return self._record.is_complete(name, digest, self.files.endings(number))
 
-    def knows(self, name: str) -> bool:
+    def has_pair(self, name: str) -> bool:
         """Return whether this run, or the run that it resumes, wrote a pair of this name."""
         return name in self._record.pairs
 
@@ -137,16 +135,18 @@ class PairWriter:
         if self.ranges is None:
             has_unit = pose is not None
             self.ranges = Ranges.of(result, has_unit=has_unit, screen=self.files.screen)
-        written = self.files.write(name, result, ranges=self.ranges, pose=pose, **arguments)
-        self._record.finish(name, *written)
+        entry_and_checksums = self.files.write(
+            name, result, ranges=self.ranges, pose=pose, **arguments
+        )
+        self._record.finish(name, *entry_and_checksums)
 
-    def finish(self, name: str, arguments: Mapping[str, Any], sums: Checksums) -> None:
-        """Record a pair as finished whose files another process wrote."""
+    def finish(self, name: str, arguments: Mapping[str, Any], checksums: Checksums) -> None:
+        """Record a pair as finished; another process wrote its files."""
         self._remove_report()
-        self._record.finish(name, arguments, sums)
+        self._record.finish(name, arguments, checksums)
 
     def begin(self) -> None:
-        """Remove the files of an earlier run. The record is last, since it names the files."""
+        """Remove the files of an earlier run; the record is the last, since it names the files."""
         if self._is_begun:
             return
         self._is_begun = True
@@ -157,22 +157,22 @@ class PairWriter:
             file.unlink(missing_ok=True)
 
     def _remove_report(self) -> None:
-        """Remove the report of an earlier command, once, since this run makes it outdated."""
+        """Remove the report of an earlier command, once: this run makes the report outdated."""
         report, self._has_report = self._has_report, False
         if report and is_report(self.folder / REPORT):
             (self.folder / REPORT).unlink(missing_ok=True)
 
     @property
     def ranges(self) -> Ranges | None:
-        """Ranges of values in pictures; None before the first pair with depth."""
+        """Ranges of values in images; None before the first pair with depth."""
         values = [self._record[key] for key in RANGE_KEYS]
         if any(value is None for value in values):
             return None
-        return Ranges(**dict(zip(_RANGES, values, strict=True)))
+        return Ranges(**dict(zip(_RANGE_FIELDS, values, strict=True)))
 
     @ranges.setter
     def ranges(self, ranges: Ranges | None) -> None:
-        for key, name in zip(RANGE_KEYS, _RANGES, strict=True):
+        for key, name in zip(RANGE_KEYS, _RANGE_FIELDS, strict=True):
             self._record[key] = None if ranges is None else getattr(ranges, name)
 
     def entries_between(self, first: int, end: int) -> dict[str, Mapping[str, Any]]:
@@ -183,7 +183,7 @@ class PairWriter:
 
     @property
     def statuses(self) -> Mapping[str, int]:
-        """Number of pairs by status code so far, including those of a resumed run."""
+        """Number of finished pairs by status code, including pairs of a resumed run."""
         return {code: count for code, count in list(self._record.statuses.items()) if count}
 
     @property
@@ -214,8 +214,8 @@ class PairWriter:
         return float(sum(lengths.values()) * count + figure * figures)
 
     def __enter__(self) -> "PairWriter":
-        with ExitStack() as opened:
-            opened.enter_context(locked_folder(self.folder))
+        with ExitStack() as stack:
+            stack.enter_context(locked_folder(self.folder))
             runtime.start()
             self._record["arch"] = runtime.running_arch()
             self._record["lanes"] = runtime.lanes()
@@ -224,7 +224,7 @@ class PairWriter:
                 self._record.resume()
             else:
                 self._inputs.refuse(*self._earlier)
-            self._contexts = opened.pop_all()
+            self._contexts = stack.pop_all()
         return self
 
     def __exit__(self, *arguments: object) -> None:

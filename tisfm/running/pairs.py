@@ -25,7 +25,7 @@ from tisfm.window import Window
 
 @dataclass(frozen=True, kw_only=True)
 class FrameSelection:
-    """The frames of a source that are used, and the part of each frame."""
+    """The used frames of a source, and the used part of each frame."""
 
     step: int = 1
     """Use every STEP-th frame, for slow motion."""
@@ -79,11 +79,11 @@ class PairSource:
 
 @dataclass(frozen=True, kw_only=True)
 class PairWork:
-    """Interprets the pairs of a run."""
+    """The interpretation of the pairs of a run."""
 
-    camera: Camera  # the camera of the frames after they are cropped and shrunk
+    camera: Camera  # camera of the frames after crop and reduction
     settings: Settings
-    # the files of the pairs; None if results are returned instead of written
+    # files of the pairs; None if results are returned instead of written
     files: PairFiles | None = field(default=None, repr=False)
 
     def interpret(self, pair: FramePair, window: Window | None = None) -> Interpretation:
@@ -93,13 +93,13 @@ class PairWork:
     def write_arguments(self, pair: FramePair, number: int) -> dict[str, Any]:
         """Return the arguments of `PairFiles.write` for a pair, except its interpretation."""
         has_figure = self.files is not None and self.files.has_figure(number)
-        compared = self.settings.motion == "field" and has_figure
+        needs_baseline = self.settings.motion == "field" and has_figure
         return {
             "number": number,
             "digest": pair.digest,
             "times": pair.times,
             "pose": None if pair.pose is None else np.asarray(pair.pose),
-            "baseline_flow": self._baseline_flow(pair) if compared else None,
+            "baseline_flow": self._baseline_flow(pair) if needs_baseline else None,
         }
 
     def _baseline_flow(self, pair: FramePair) -> np.ndarray:
@@ -110,17 +110,17 @@ class PairWork:
 
 def attach_poses(
     pairs: FrameSource,
-    # iterable of array_like, or None: one pose for every pair; None for no poses. They are checked
-    # when the pair is interpreted.
+    # iterable of array_like, or None: one pose for every pair; None for no poses. The
+    # interpretation of a pair checks its pose.
     poses: Iterable[npt.ArrayLike] | None,
     *,
     title: str = "poses",  # name of the poses in error messages
 ) -> Generator[FramePair, None, None]:
     """Give every pair of a source its pose.
 
-    Raises TypeError, ValueError: at once, if the poses cannot be iterated, if their number is known
-    and differs from the number of pairs, or if frames may be skipped. During iteration, if the
-    poses end too early, or if poses are left over and their number is known.
+    Raises TypeError, ValueError: at once, if the poses are not iterable, if their known number
+    differs from the number of pairs, or if frames may be skipped; during iteration, if there are
+    too few poses, or too many poses of a known number.
     """
     if poses is None:
         return iter(pairs)
@@ -137,7 +137,7 @@ def attach_poses(
         raise InputTypeError(f"{title} is {poses!r}: expected a 4×4 or 3×3 array for every pair")
     number = len(poses) if isinstance(poses, Sized) else None
     if pairs.count is not None and number is not None:
-        _check_poses(number, len(pairs), title)
+        _check_pose_number(number, len(pairs), title)
     return _attach_poses(pairs, poses, number, title)
 
 
@@ -146,8 +146,8 @@ def _attach_poses(
 ) -> Generator[FramePair, None, None]:
     remaining_poses = iter(poses)
     finished_count = 0
-    with closing(iter(pairs)) as opened_pairs:
-        for pair in opened_pairs:
+    with closing(iter(pairs)) as open_pairs:
+        for pair in open_pairs:
             try:
                 pose = next(remaining_poses)
             except StopIteration:
@@ -156,13 +156,13 @@ def _attach_poses(
                     f"{finished_count}: expected one for every pair"
                 ) from None
             yield replace(pair, pose=pose)
-            del pair  # or its first frame would stay in memory while the next is read
+            del pair  # free its first frame before the next pair is read
             finished_count += 1
     if number is not None:
-        _check_poses(number, finished_count, title)
+        _check_pose_number(number, finished_count, title)
 
 
-def _check_poses(number: int, pairs: int, title: str) -> None:
+def _check_pose_number(number: int, pairs: int, title: str) -> None:
     if number != pairs:
         raise InputError(
             f"{title} are {number}, but there {'is' if pairs == 1 else 'are'} {pairs} "
@@ -183,7 +183,7 @@ def _read_motions(path: Path, pairs: FrameSource, settings: Settings) -> list[np
             f"{path} has {len(poses)} poses, but there are {pairs.count} frames: expected a line "
             "of twelve numbers for every frame"
         )
-    motions = [motion_between(*ends) for ends in pairwise(poses[pairs.selection])]
+    motions = [motion_between(*pose_pair) for pose_pair in pairwise(poses[pairs.selection])]
     for index, motion in enumerate(motions):
         try:
             check_pose(motion)

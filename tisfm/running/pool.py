@@ -30,9 +30,9 @@ from tisfm.version import __version__
 
 T = TypeVar("T")
 R = TypeVar("R")
-MAX_ATTEMPTS = 3  # for an item whose process was killed; set by hand
-_QUEUED_PER_WORKER = 2  # items: one that the worker computes, and one that waits for it
-_CLUSTER_TIMEOUT = 10  # s for the scheduler of a cluster to answer; set by hand
+MAX_ATTEMPTS = 3  # attempts at an item whose process was killed; set by hand
+_QUEUED_PER_WORKER = 2  # items of a worker: one that it computes, and the next item
+_CLUSTER_TIMEOUT = 10  # s: limit of the answer time of a cluster's scheduler; set by hand
 
 
 class WorkerPool:
@@ -49,12 +49,12 @@ class WorkerPool:
 
     def map_unordered(
         self,
-        function: Callable[[T], R],  # a function of a module: it is sent by its name
+        function: Callable[[T], R],  # a function of a module, since processes get its name
         items: Sequence[T],
     ) -> Generator[tuple[int, R], None, None]:
         """Call a function with every item, and yield each result as soon as it is ready.
 
-        Items are submitted in order, and only as many at a time as keep all processes busy.
+        Items are submitted in order; few items wait, just enough to keep all processes busy.
 
         Yields the number of each item, from 0, and its result.
 
@@ -62,21 +62,21 @@ class WorkerPool:
 
         Raises Exception: the exception of the function.
         """
-        waiting, kills = list(reversed(range(len(items)))), 0
+        waiting, kill_count = list(reversed(range(len(items)))), 0
         running = self._running = {}
         while waiting or running:
             try:
                 while waiting and len(running) < _QUEUED_PER_WORKER * self.workers:
                     future = self._executor.submit(function, items[waiting[-1]])
                     running[future] = waiting.pop()
-                done, _ = wait(running, return_when=FIRST_COMPLETED)
-                for future in sorted(done, key=running.__getitem__):
+                finished_futures, _ = wait(running, return_when=FIRST_COMPLETED)
+                for future in sorted(finished_futures, key=running.__getitem__):
                     result = future.result()
-                    kills = 0
+                    kill_count = 0
                     yield running.pop(future), result
             except BrokenProcessPool:
-                kills += 1
-                if kills >= MAX_ATTEMPTS:
+                kill_count += 1
+                if kill_count >= MAX_ATTEMPTS:
                     raise RunError(
                         f"workers were killed {MAX_ATTEMPTS} times, and finished nothing in "
                         "between: there may be too little memory; give fewer workers"
@@ -90,9 +90,9 @@ class WorkerPool:
                 self._executor = self._open()
 
     def results_of_running(self) -> Iterator[Any]:
-        """Wait for the items that are being computed, and yield their results.
+        """Wait for the items that workers are computing, and yield their results.
 
-        To be called after `map_unordered` was left early. Items that fail now are left out.
+        This is for the time after an early exit from `map_unordered`. Failed items are left out.
         """
         running, self._running = self._running, {}
         for future in sorted(running, key=running.__getitem__):
@@ -100,12 +100,12 @@ class WorkerPool:
                 yield future.result()
 
     def close(self) -> None:
-        """End the processes after the items that they are computing."""
+        """End the processes when they have computed their current items."""
         self._executor.shutdown()
 
 
 def check_workers(workers: int, cluster: str | None = None) -> None:
-    """Raise InputError if `workers` is not positive, or is given together with a cluster."""
+    """Raise InputError if `workers` is not positive, or if a cluster is given with `workers`."""
     if workers < 1:
         raise InputError(f"workers is {workers}: expected a positive number of processes")
     if workers > 1 and cluster is not None:
@@ -121,7 +121,7 @@ def open_pool(
 ) -> AbstractContextManager[WorkerPool]:
     """Return a pool of processes of this machine, or of a Dask cluster.
 
-    Leaving the block waits for the items that are being computed. Processes of this machine end
+    The end of the block waits for items that workers are computing. Processes of this machine end
     with this process, even if this process is killed.
 
     Raises MissingPackageError if a cluster is given and Dask is not installed.
@@ -190,10 +190,10 @@ def check_worker(
     version: str,  # version of tisfm in the parent process
     presence: Path,  # a file that exists as long as the parent process waits for results
     *,
-    lanes: int,  # lanes of the vectors of the CPU of the parent process
-    own_lanes: int,  # lanes of the vectors of the CPU of this worker
+    lanes: int,  # float32 values in a vector register of the parent's CPU
+    worker_lanes: int,  # float32 values in a vector register of the worker's CPU
 ) -> None:
-    """Check, in a worker, that the worker fits the parent process.
+    """Check, in a worker, that the worker gives the same results as the parent process.
 
     Raises RunError if the version or the number of lanes differs, or the file does not exist here.
     """
@@ -207,15 +207,15 @@ def check_worker(
             f"a worker does not see the folder {presence.parent} of the command: give a folder "
             "that all machines share, by the same path"
         )
-    if lanes != own_lanes:
+    if lanes != worker_lanes:
         raise RunError(
-            f"the processor of a worker has vectors of {own_lanes} lanes, that of the command "
+            f"the processor of a worker has vectors of {worker_lanes} lanes, that of the command "
             f"{lanes}: their results differ in the last digits; leave out such machines"
         )
 
 
 def sendable_error(error: Exception) -> Exception:
-    """Return an error of a worker in the form that is sent to the parent process."""
+    """Return the error of a worker in a form that processes can send to the parent."""
     if isinstance(error, MemoryError) and not isinstance(error, TisfmError):
         return OutOfMemoryError(out_of_memory_message())
     return error.with_traceback(None)

@@ -1,4 +1,4 @@
-"""A run: every pair of a source is interpreted, by one or several processes, and written."""
+"""A run: one or several processes interpret every pair of a source, and write the results."""
 
 import fnmatch
 import glob
@@ -40,11 +40,11 @@ from tisfm.threads import usable_cores
 from tisfm.window import Window, WindowSize, make_window
 
 T = TypeVar("T")
-Tell = Callable[[str], None]
+Log = Callable[[str], None]
 
 
 class RunObserver(Protocol):
-    """Receives the progress of a run, such as `tisfm.cli.progress.RunProgress`."""
+    """A receiver of the progress of a run, such as `tisfm.cli.progress.RunProgress`."""
 
     last_seconds: float  # s: time of the last stage
 
@@ -55,13 +55,13 @@ class RunObserver(Protocol):
         """Measure the time of a block for a stage."""
 
     def measure_items(self, name: str, items: Iterable[T]) -> Iterator[T]:
-        """Yield items, and measure the time of fetching each of them."""
+        """Yield items, and measure the waiting time for each item."""
 
     def finish(self, name: str, statuses: Mapping[str, int], *, count: int = 1) -> None:
-        """Receive that pairs are finished, and the number of finished pairs by status."""
+        """Receive the last finished pair's name, and the number of finished pairs by status."""
 
     def estimate(self, interpreted: int) -> None:
-        """Receive how many pairs this command has interpreted so far."""
+        """Receive the number of pairs that this command has interpreted so far."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,17 +70,17 @@ class SequenceRun:
 
     source: Source
     folder: Path  # the folder of the results
-    camera: Camera | Path  # a camera, or the file of one
+    camera: Camera | Path  # a camera, or a camera file
     guess: bool = False  # replace the focal length of the camera by a guess from the first frame
     settings: Settings
     frames: FrameSelection
     poses: Path | None = None  # a file with a pose for every frame of the source, selected or not
     mask: str | None = None  # a picture, or a folder or pattern with a picture for every frame
     window: WindowSize = 2  # {2, 3}: as for `tisfm.interpret_sequence`
-    resume: bool = False  # keep the pairs that an earlier run with the same options finished
+    resume: bool = False  # whether to keep finished pairs of an earlier run with the same options
     # the outputs of a pair: keys of `tisfm.folders.run_record.ENDINGS`
     outputs: Collection[str] = DEFAULT_OUTPUTS
-    figures: int = 1  # one pair in this many has a figure; 0 for no figures
+    figures: int = 1  # pairs per figure: the first of them has the figure; 0 for no figures
     # disparity, screen: parameters of anaglyphs, as for `PairWriter`
     disparity: float | None = None
     screen: float | None = None
@@ -126,8 +126,8 @@ class SequenceRun:
     def interpret(
         self,
         observer: RunObserver,
-        tell: Tell,  # receives each note on the source and the camera, a line of text
-    ) -> dict[int, str]:  # numbers of the frames that were skipped, with the reasons
+        log: Log,  # receives each note on the source and the camera, a line of text
+    ) -> dict[int, str]:  # by the numbers of skipped frames: the reasons
         """Interpret and write all pairs.
 
         Raises OSError, TypeError, ValueError: as `tisfm.interpret_sequence`; if the folder cannot
@@ -146,48 +146,50 @@ class SequenceRun:
         if self.mask is not None:
             refuse_among_inputs(self.mask, frames.mask_files, self.folder, kind="masks")
         for note in frames.notes:
-            tell(f"note: {note}")
+            log(f"note: {note}")
         pair_count = check_sharable(self.source, frames) if self.is_shared else _pair_count(frames)
         first = next(pairs)  # before any file is written: all frames have its size
         if "flow" in self.outputs:
             require_writable_flow(f"frame {first.name0}", *first.frame0.shape[:2])
         if self.is_shared:
             refuse_float_frames(first)
-        full, shape = first.full_shape, first.frame0.shape
-        following = chain([first], pairs)
-        del first  # or it would stay in memory to the end
+        full_shape, shape = first.full_shape, first.frame0.shape
+        first_pairs = chain([first], pairs)
+        del first  # free its memory
         runtime.start(self.arch, threads=self.threads)
         camera = self.camera
         if isinstance(camera, Path):
-            camera = load_camera(camera, full or shape[:2], tell)
+            camera = load_camera(camera, full_shape or shape[:2], log)
         elif self.guess:
-            camera = guess_camera_focal(camera, frames.first_file or full or shape, tell)
-        writer = self._writer(frames, camera, full or shape[:2], frames.camera_after(camera, full))
+            camera = guess_camera_focal(camera, frames.first_file or full_shape or shape, log)
+        writer = self._make_writer(
+            frames, camera, full_shape or shape[:2], frames.camera_after(camera, full_shape)
+        )
         work = PairWork(camera=writer.camera, settings=self.settings, files=writer.files)
         pool = open_pool(self.workers, self.cluster) if self.is_shared else nullcontext()
         with closing(pairs), writer, pool as workers:
             observer.begin(writer, pair_count)
             interpreter = _LocalInterpreter(writer, work, source, observer, window)
-            next_number = interpreter.interpret(following, stop_at_ranges=self.is_shared)
+            next_number = interpreter.interpret(first_pairs, stop_at_ranges=self.is_shared)
             skipped = dict(frames.skipped)
             if workers is not None and pair_count is not None and next_number < pair_count:
                 pairs.close()
-                remaining = self._chunk(source, work, frames, next_number, pair_count)
+                remaining = self._remaining_chunk(source, work, frames, next_number, pair_count)
                 for chunk in _finished_chunks(remaining, writer, workers):
                     interpreter.interpreted += _record_chunk(chunk, writer, observer)
                     observer.estimate(interpreter.interpreted)
                     skipped.update(chunk.skipped)
-            else:  # no pair is left, unless a video has more frames than its header says
+            else:  # further pairs exist only if a video has more frames than its header states
                 interpreter.interpret(pairs, stop_at_ranges=False)
                 skipped.update(frames.skipped)
         return dict(sorted(skipped.items()))
 
-    def _writer(
-        self, frames: FrameSource, camera: Camera, shape: tuple[int, int], after: Camera
+    def _make_writer(
+        self, frames: FrameSource, camera: Camera, shape: tuple[int, int], output_camera: Camera
     ) -> PairWriter:
         return PairWriter(
             self.folder,
-            camera=after,
+            camera=output_camera,
             settings=self.settings,
             source=(camera, shape),
             window=self.window,
@@ -203,7 +205,7 @@ class SequenceRun:
             notes=frames.notes,
         )
 
-    def _chunk(
+    def _remaining_chunk(
         self, source: PairSource, work: PairWork, frames: FrameSource, first: int, end: int
     ) -> Chunk:
         """Return one chunk with all remaining pairs."""
@@ -212,7 +214,7 @@ class SequenceRun:
             work=work,
             first=first,
             end=end,
-            arch=runtime.running_arch(),  # type: ignore[arg-type]  # it is one that it takes
+            arch=runtime.running_arch(),  # type: ignore[arg-type]  # an arch of `runtime.start`
             threads=self.threads,
             listing=frames.listing,
         )
@@ -223,25 +225,25 @@ class SequenceRun:
         return remaining
 
 
-def load_camera(file: Path, shape: tuple[int, int] | None, tell: Tell) -> Camera:
+def load_camera(file: Path, shape: tuple[int, int] | None, log: Log) -> Camera:
     """Return the camera in a file for frames of a shape; warn if its focal length is doubtful."""
     camera = read_camera(file, shape)
     if doubt := focal_doubt(file):
-        tell(f"{file}: {doubt}")
+        log(f"{file}: {doubt}")
     return camera
 
 
-def guess_camera_focal(camera: Camera, first: Path | tuple[int, ...], tell: Tell) -> Camera:
+def guess_camera_focal(camera: Camera, first: Path | tuple[int, ...], log: Log) -> Camera:
     """Return a camera with a focal length guessed from the first frame, or from its shape."""
     guess = guess_focal(first)
     value = f"{guess.focal:.0f} px{at_size(guess.shape)}, {guess.reason}"
-    tell(f"focal length guessed: {value}; give --focal if known")
+    log(f"focal length guessed: {value}; give --focal if known")
     return replace(camera, focal=guess.focal)
 
 
 @dataclass
 class _LocalInterpreter:
-    """Interprets the pairs of a run in this process, and writes in a second thread."""
+    """The interpretation of pairs in this process, with writing in a second thread."""
 
     writer: PairWriter
     work: PairWork
@@ -257,15 +259,16 @@ class _LocalInterpreter:
         the ranges of values in all images.
         """
         writer, window, observer = self.writer, self.window, self.observer
-        previous, number = None, -1  # the pair before, if an earlier run finished it
+        # `previous` is the pair before, if an earlier run finished that pair.
+        previous, number = None, -1
         with BackgroundThread() as background:
             for pair in observer.measure_items("decoding", pairs):
                 name, number = pair.name0, self.source.number(pair)
-                if writer.knows(name) and writer.is_complete(name, pair.digest, number):
+                if writer.has_pair(name) and writer.is_complete(name, pair.digest, number):
                     previous = None if window is None else pair
                 else:
                     if window is not None and previous is not None:
-                        result = Interpretation.load(writer.result_of(previous.name0))
+                        result = Interpretation.load(writer.result_path(previous.name0))
                         previous.keep(window, result, camera=self.work.camera)
                         del result
                     previous = None
@@ -274,10 +277,10 @@ class _LocalInterpreter:
                     self.interpreted += 1
                     writer.record_time(name, observer.last_seconds)
                     with observer.stage("interpreting"):
-                        about = self.work.write_arguments(pair, number)
+                        arguments = self.work.write_arguments(pair, number)
                     with observer.stage("writing"):
-                        background.submit(writer.write, name, result, **about)
-                    del result, about  # or they would be in memory while the next is computed
+                        background.submit(writer.write, name, result, **arguments)
+                    del result, arguments  # free their memory before the next pair
                 observer.finish(name, writer.statuses)
                 observer.estimate(self.interpreted)
                 del pair
@@ -291,13 +294,13 @@ class _LocalInterpreter:
 def _finished_chunks(
     remaining: Chunk, writer: PairWriter, pool: WorkerPool
 ) -> Iterator[FinishedChunk]:
-    """Let other processes interpret the pairs of a chunk; yield the parts as they finish.
+    """Let other processes interpret the pairs of a chunk; yield finished parts of the chunk.
 
-    The error of a worker is raised after the parts that are being computed are yielded.
+    After an error of a worker, the parts in work are yielded, and then the error is raised.
     """
     writer.begin()
     error: BaseException | None = None
-    # The path for the workers: an absolute one for a cluster.
+    # This path is for the workers; it is absolute for a cluster.
     folder = writer.folder if remaining.work.files is None else remaining.work.files.folder
     with presence_file(folder) as presence:
         chunks = [
@@ -323,11 +326,11 @@ def _finished_chunks(
 
 
 def _record_chunk(chunk: FinishedChunk, writer: PairWriter, observer: RunObserver) -> int:
-    """Record the pairs of another process; return the number of those that it interpreted."""
+    """Record the pairs of another process; return the number of newly interpreted pairs."""
     interpreted = 0
     for pair in chunk.pairs:
-        if pair.entry is not None and pair.sums is not None:
-            writer.finish(pair.name, pair.entry, pair.sums)
+        if pair.entry is not None and pair.checksums is not None:
+            writer.finish(pair.name, pair.entry, pair.checksums)
             writer.record_time(pair.name, pair.seconds)
             interpreted += 1
     if chunk.pairs:
@@ -336,7 +339,7 @@ def _record_chunk(chunk: FinishedChunk, writer: PairWriter, observer: RunObserve
 
 
 def _pair_count(frames: FrameSource) -> int | None:
-    """Return the number of pairs; None if it is known only after reading."""
+    """Return the number of pairs; None if it is unknown before all frames are read."""
     try:
         return len(frames)
     except TypeError:
@@ -346,14 +349,14 @@ def _pair_count(frames: FrameSource) -> int | None:
 def refuse_among_inputs(
     source: Source, files: Iterable[Path], folder: Path, *, kind: str = "frames"
 ) -> None:
-    """Raise InputError if results would lie among the frames: the next run would read them."""
+    """Raise InputError if results would lie among the frames: the next run would read results."""
     if not isinstance(source, (str, os.PathLike)) or os.path.isfile(source):
         return
     parents = {file.parent for file in files}
-    is_among = folder.exists() and any(
+    is_input_folder = folder.exists() and any(
         parent.exists() and parent.samefile(folder) for parent in parents
     )
-    if is_among or (
+    if is_input_folder or (
         glob.has_magic(os.fspath(source)) and _matches_pattern(folder, Path(source).parent)
     ):
         raise InputError(
@@ -363,9 +366,11 @@ def refuse_among_inputs(
 
 
 def _matches_pattern(folder: Path, pattern: Path) -> bool:
-    """Return whether the folders of a glob pattern, such as "d?" in "d?/*.png", include one."""
-    chunks, patterns = (Path(os.path.abspath(path)).parts for path in (folder, pattern))
-    return len(chunks) == len(patterns) and all(map(fnmatch.fnmatch, chunks, patterns))
+    """Return whether a folder matches the pattern of folders, such as "d?" in "d?/*.png"."""
+    folder_parts, pattern_parts = (Path(os.path.abspath(path)).parts for path in (folder, pattern))
+    return len(folder_parts) == len(pattern_parts) and all(
+        map(fnmatch.fnmatch, folder_parts, pattern_parts)
+    )
 
 
 def _possible_names(frames: FrameSource, folder: Path) -> list[str]:
@@ -375,5 +380,5 @@ def _possible_names(frames: FrameSource, folder: Path) -> list[str]:
     if not folder.is_dir():
         return []
     numbered = re.compile(re.escape(frames.prefix) + r"_\d{6,}", re.IGNORECASE)
-    found = (numbered.match(name) for name in os.listdir(folder))
-    return sorted({match.group() for match in found if match})
+    matches = (numbered.match(name) for name in os.listdir(folder))
+    return sorted({match.group() for match in matches if match})

@@ -148,7 +148,7 @@ def make_chunk(chunk: Chunk) -> Exception | None:
     """Reconstruct a chunk unless it is complete; return an error that the user's input caused."""
     try:
         worker_lanes = runtime.cpu_lanes() if chunk.arch in (None, "cpu") else chunk.lanes
-        check_worker(chunk.version, chunk.presence, lanes=chunk.lanes, own_lanes=worker_lanes)
+        check_worker(chunk.version, chunk.presence, lanes=chunk.lanes, worker_lanes=worker_lanes)
         source = FrameSource(chunk.source, stop=chunk.stop)
         chunk.listing.check(source.listing, source.title)
         with _chunk_lock(chunk):
