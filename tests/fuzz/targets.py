@@ -96,11 +96,11 @@ def _things(place: Path) -> Any:
 
 
 def _mask(path: Path) -> Any:
-    return Masks(path).reader().ignored(0, "0", (seeds.H, seeds.W, 3))
+    return Masks(path).reader().read_ignored(0, "0", (seeds.H, seeds.W, 3))
 
 
 def _labels(path: Path) -> Any:
-    return Labels(path, count=1).reader().labels(0, "0", [(seeds.H, seeds.W)])
+    return Labels(path, count=1).reader().read_labels(0, "0", [(seeds.H, seeds.W)])
 
 
 def _calibrated(path: Path) -> Any:

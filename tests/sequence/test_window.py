@@ -79,7 +79,7 @@ def test_kept_frames_can_be_kept_again(steady):
     window = Window()
     results = [pair.interpret(settings=QUICK, window=window) for pair in pairs]
     again = Window()
-    pairs[2].keep(again, results[2], camera=None)
+    pairs[2].store(again, results[2], camera=None)
     assert equal(pairs[3].interpret(settings=QUICK, window=again), results[3])
 
 

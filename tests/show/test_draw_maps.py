@@ -29,7 +29,7 @@ from tisfm.show import (
     save_figure,
     uncertainty_to_color,
 )
-from tisfm.show.ticks import depth_ticks, doublings, number_text
+from tisfm.show.ticks import depth_ticks, doubling_ticks, format_number
 
 
 def empty(width=6.0, height=4.0, dpi=100):
@@ -178,7 +178,7 @@ def test_scales_of_depth_have_round_numbers():
     """Each tick lies where the inverse of its depth does; all but the nearest are round."""
     for limit in (1 / 119.3, 0.5, 7.0, 1e-9, 3e8, 1.0):
         (far, text), *between, (near, nearest) = depth_ticks(limit)
-        assert (far, text, near) == (0, "∞", 1) and nearest == f"≤ {number_text(1 / limit)}"
+        assert (far, text, near) == (0, "∞", 1) and nearest == f"≤ {format_number(1 / limit)}"
         assert len(between) >= 3
         shares = [share for share, _ in between]
         assert shares == sorted(shares) and shares[0] > 0 and shares[-1] < 1
@@ -191,7 +191,7 @@ def test_scales_of_depth_have_round_numbers():
 
 def test_scales_of_any_width_have_few_ticks():
     for limits in ((1e-300, 1e300), (2.3e-308, 1.7e308), (1.0, 1.0000001), (0.01, 0.64)):
-        ticks = doublings(limits, "%")
+        ticks = doubling_ticks(limits, "%")
         shares = [share for share, _ in ticks]
         assert shares == sorted(shares) and shares[0] == 0 and shares[-1] == 1
         assert 2 <= len(ticks) <= 14

@@ -13,7 +13,7 @@ from tisfm.show import (
     label_colors,
     uncertainty_to_color,
 )
-from tisfm.show.palette import ESTIMATE, INK, OTHER
+from tisfm.show.palette import CONTRAST_COLOR, RESULT_COLOR, TEXT_COLOR
 
 QUANTITIES = ("depth", "confidence", "error")
 
@@ -51,7 +51,10 @@ def test_categories_are_distinguishable(vision):
     colors = label_colors(16)
     apart = distances(colors, colors, vision) + 1000 * np.eye(16)
     assert apart.min() > 15
-    lines = [[int(c[k : k + 2], 16) for k in (1, 3, 5)] for c in (ESTIMATE, OTHER, INK)]
+    lines = [
+        [int(c[k : k + 2], 16) for k in (1, 3, 5)]
+        for c in (RESULT_COLOR, CONTRAST_COLOR, TEXT_COLOR)
+    ]
     assert (distances(lines, lines, vision) + 1000 * np.eye(3)).min() > 40
 
 

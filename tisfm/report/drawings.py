@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tisfm.show import draw_path
 from tisfm.show.draw_paths import PathView
-from tisfm.show.palette import ESTIMATE, FAINT, INK
+from tisfm.show.palette import GRID_COLOR, RESULT_COLOR, TEXT_COLOR
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -67,15 +67,15 @@ def curves_drawing(
         middles = (edges[:-1] + edges[1:] - 1) / 2
         means = [_mean(values[a:b]) for a, b in pairwise(edges)]
         marker = "." if len(means) <= 60 else ""
-        axes.grid(color=FAINT, linewidth=0.5, alpha=0.4)
-        axes.tick_params(colors=INK, labelsize=8)
+        axes.grid(color=GRID_COLOR, linewidth=0.5, alpha=0.4)
+        axes.tick_params(colors=TEXT_COLOR, labelsize=8)
         for spine in axes.spines.values():
-            spine.set(color=FAINT, linewidth=0.6)
-        axes.plot(middles, means, color=ESTIMATE, linewidth=1.4, marker=marker)
-        axes.set_title(name, color=INK, fontsize=10)
+            spine.set(color=GRID_COLOR, linewidth=0.6)
+        axes.plot(middles, means, color=RESULT_COLOR, linewidth=1.4, marker=marker)
+        axes.set_title(name, color=TEXT_COLOR, fontsize=10)
         axes.set_xlim(-0.02 * len(values), 1.02 * len(values) - 1)
         axes.set_ylim(0, 1.08 * max(np.nanmax(means), 1e-6))
-        axes.set_xlabel("pair", color=INK, fontsize=9)
+        axes.set_xlabel("pair", color=TEXT_COLOR, fontsize=9)
         axes.locator_params(axis="x", nbins=6, integer=True)
         axes.locator_params(axis="y", nbins=4)
         drawings.append(_svg(figure))
@@ -108,7 +108,7 @@ def _svg(figure: "Figure") -> Markup:
         figure.savefig(data, format="svg", metadata=about)
     drawing = data.getvalue()
     drawing = drawing[drawing.index("<svg") :].strip()
-    drawing = drawing.replace(INK, "currentColor")  # the colour of the surrounding text
+    drawing = drawing.replace(TEXT_COLOR, "currentColor")  # the colour of the surrounding text
     drawing = re.sub(r"<metadata>.*?</metadata>", "", drawing, flags=re.DOTALL)
     head, rest = drawing.split(">", 1)
     box = re.search(r'viewBox="[^"]*"', head)

@@ -269,7 +269,7 @@ class _LocalInterpreter:
                 else:
                     if window is not None and previous is not None:
                         result = Interpretation.load(writer.result_path(previous.name0))
-                        previous.keep(window, result, camera=self.work.camera)
+                        previous.store(window, result, camera=self.work.camera)
                         del result
                     previous = None
                     with observer.stage("interpreting"):

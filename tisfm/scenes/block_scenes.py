@@ -105,8 +105,8 @@ def two_blocks(
     ((48, 64), (48, 64, 2), 3)
     """
     if block_motions is None:
-        along_floor = _ROOM_AXES @ np.array([[-0.014, 0.0, 0.04], [-0.014, 0.0, -0.04]]).T
-        block_motions = np.hstack([along_floor.T, np.zeros((2, 3))])
+        floor_velocities = _ROOM_AXES @ np.array([[-0.014, 0.0, 0.04], [-0.014, 0.0, -0.04]]).T
+        block_motions = np.hstack([floor_velocities.T, np.zeros((2, 3))])
     block_twists = check_finite(block_motions, (2, 6), "block_motions")
     scene = _block_scene(
         _TWO_BLOCKS, block_twists, camera_motion, height, width, seed, focal, detail
@@ -273,18 +273,18 @@ def bare_patches(
             patches=patches,
         )
 
-    in_texture = Patch(center=(-2.3, 0.1), size=(2.0, 2.6), grey=105)
-    behind_block = Patch(center=(2.1, 0.1), size=(2.4, 2.8), grey=128)
-    on_block = Patch(center=(0.4, 0.0), size=(1.0, 0.9), grey=175)
+    wall_patch = Patch(center=(-2.3, 0.1), size=(2.0, 2.6), grey=105)
+    wall_patch_at_edge = Patch(center=(2.1, 0.1), size=(2.4, 2.8), grey=128)
+    block_patch = Patch(center=(0.4, 0.0), size=(1.0, 0.9), grey=175)
     block_axes, _ = rigid_motion((0, 0, 0, 0, math.radians(8), 0))
     wall = Plane(
-        texture=make_texture(8.0, 0, 110, (in_texture, behind_block)),
+        texture=make_texture(8.0, 0, 110, (wall_patch, wall_patch_at_edge)),
         point=(0, 0, 8),
         normal=(0.1, 0.1, -1),
         motion=motion,
     )
     block = Box(
-        texture=make_texture(4.2, 1, 130, (on_block,)),
+        texture=make_texture(4.2, 1, 130, (block_patch,)),
         center=(0.05, 0.0, 4.5),
         size=(1.4, 1.6, 0.5),
         axes=block_axes,

@@ -153,12 +153,15 @@ class Box:
 
     def _hit_depth(self, origin: Floats, ray: Floats) -> Floats:
         # The slab method: the box is the intersection of three slabs between parallel planes.
-        enter, leave = np.zeros(ray.shape[1]), np.full(ray.shape[1], np.inf)
-        for position, direction, half in zip(origin, ray, self.size / 2, strict=True):
-            depth0, depth1 = (-half - position) / direction, (half - position) / direction
-            np.maximum(enter, np.minimum(depth0, depth1), out=enter)
-            np.minimum(leave, np.maximum(depth0, depth1), out=leave)
-        return np.where((enter < leave) & (enter > 0), enter, np.inf)
+        enter_depth, leave_depth = np.zeros(ray.shape[1]), np.full(ray.shape[1], np.inf)
+        for position, direction, half_length in zip(origin, ray, self.size / 2, strict=True):
+            depth0, depth1 = (
+                (-half_length - position) / direction,
+                (half_length - position) / direction,
+            )
+            np.maximum(enter_depth, np.minimum(depth0, depth1), out=enter_depth)
+            np.minimum(leave_depth, np.maximum(depth0, depth1), out=leave_depth)
+        return np.where((enter_depth < leave_depth) & (enter_depth > 0), enter_depth, np.inf)
 
     def _grey(self, points: Floats, ray: Floats, footprint: Floats) -> NDArray:
         relative, axis = self._faces(points)

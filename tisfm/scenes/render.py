@@ -148,14 +148,14 @@ class Scene:
         """
         check_whole_numbers(1, samples=samples)
         check_dtype(dtype)
-        before = [ObjectView(item, np.eye(3), np.zeros(3)) for item in self.objects]
-        after = [ObjectView(item, *rigid_motion(item.motion)) for item in self.objects]
-        frames = [self._cast_frame(views, samples) for views in (before, after)]
+        views0 = [ObjectView(item, np.eye(3), np.zeros(3)) for item in self.objects]
+        views1 = [ObjectView(item, *rigid_motion(item.motion)) for item in self.objects]
+        frames = [self._cast_frame(views, samples) for views in (views0, views1)]
         if dtype == "uint8":
             frames = [np.rint(frame).astype(np.uint8) for frame in frames]
         bands = [
-            self._truth_of_band(before, after, band)
-            for band in self._cast_bands(before, np.zeros((1, 2)))
+            self._truth_of_band(views0, views1, band)
+            for band in self._cast_bands(views0, np.zeros((1, 2)))
         ]
         depth, labels, u, v, visible, textured = (
             np.concatenate(rows).reshape(self.height, self.width)
@@ -267,15 +267,15 @@ class Scene:
         return np.concatenate(bands)
 
     def _truth_of_band(
-        self, before: list[ObjectView], after: list[ObjectView], band: Band
+        self, views0: list[ObjectView], views1: list[ObjectView], band: Band
     ) -> tuple[NDArray, ...]:
         """Return the truth of the pixels of frame 0: depth, labels, u, v, visible and textured."""
         rays, depth, labels = band
         points1 = np.empty_like(rays)
         textured = np.empty(labels.shape, bool)
-        for label, view in enumerate(after):
+        for label, view in enumerate(views1):
             mask = labels == label
-            textured[mask] = ~before[label].is_plain(rays[:, mask], depth[mask])
+            textured[mask] = ~views0[label].is_plain(rays[:, mask], depth[mask])
             points1[:, mask] = (
                 view.rotation @ (rays[:, mask] * depth[mask]) + view.translation[:, None]
             )
@@ -287,7 +287,7 @@ class Scene:
         is_inside = (
             is_in_front & (x >= 0) & (x <= self.width - 1) & (y >= 0) & (y <= self.height - 1)
         )
-        nearest_depth, _ = _nearest_object(after, np.where(is_inside, rays1, rays))
+        nearest_depth, _ = _nearest_object(views1, np.where(is_inside, rays1, rays))
         # The ray also hits the point itself, at its depth up to rounding.
         visible = is_inside & (nearest_depth > points1[2] * (1 - 1e-6))
         return depth, labels, u, v, visible, textured

@@ -78,8 +78,8 @@ class _Tiles(Texture):
                 end - tiles * self.spacing, self.joint_width
             )
 
-        half = footprint / 2
-        return (joint_length(x + half) - joint_length(x - half)) / footprint
+        half_footprint = footprint / 2
+        return (joint_length(x + half_footprint) - joint_length(x - half_footprint)) / footprint
 
 
 def room(

@@ -124,25 +124,31 @@ class Texture:
         A footprint, (n,), length, is the size of a pixel on the surface. Waves shorter than two
         footprints are left out; waves longer than three footprints have their full strength.
         """
-        draws = iter(_random_numbers(self.seed, face, 2 + self.octaves + self.detail))
+        octave_parameters = iter(_random_numbers(self.seed, face, 2 + self.octaves + self.detail))
         min_footprint = footprint.min() if s.size else math.inf
 
         def wave(position: tuple[Floats, Floats], octave: int) -> NDArray | float:
-            wavelength, draw = self.wavelength * 2.0**octave, next(draws)
+            wavelength, parameters = self.wavelength * 2.0**octave, next(octave_parameters)
             if wavelength / min_footprint <= 2:  # the wave is left out at every point
                 return 0.0
-            fade = np.clip(wavelength / footprint - 2, 0, 1).astype(np.float32)
+            fade_weight = np.clip(wavelength / footprint - 2, 0, 1).astype(np.float32)
             strength = (
                 OCTAVE_STRENGTHS[min(octave, len(OCTAVE_STRENGTHS) - 1)] if octave >= 0 else 1.0
             )
-            return strength * fade * fade * (3 - 2 * fade) * _noise(*position, wavelength, draw)
+            return (
+                strength
+                * fade_weight
+                * fade_weight
+                * (3 - 2 * fade_weight)
+                * _noise(*position, wavelength, parameters)
+            )
 
         # A displacement of the blotches by the longest wave gives the veins of marble.
         max_wavelength = self.wavelength * 2 ** (self.octaves - 1)
         amplitude = 0.05 * max_wavelength
         displaced_points = (
-            s + amplitude * _noise(s, t, max_wavelength, next(draws)),
-            t + amplitude * _noise(s, t, max_wavelength, next(draws)),
+            s + amplitude * _noise(s, t, max_wavelength, next(octave_parameters)),
+            t + amplitude * _noise(s, t, max_wavelength, next(octave_parameters)),
         )
         blotches, detail = np.zeros((2, s.size), np.float32)
         for octave in range(self.octaves):
@@ -172,9 +178,9 @@ def _random_numbers(seed: int, face: int, count: int) -> Floats:
     return random.uniform(0, 1, (count, 3)) * (2 * math.pi, TILE_SIDE, TILE_SIDE)
 
 
-def _noise(s: Floats, t: Floats, wavelength: float, draw: Floats) -> NDArray:
+def _noise(s: Floats, t: Floats, wavelength: float, parameters: Floats) -> NDArray:
     """Return one octave of noise of unit variance, rotated and shifted by random numbers."""
-    angle, *shift = draw
+    angle, *shift = parameters
     cos = math.cos(angle) * SAMPLES_PER_WAVE / wavelength  # samples per length
     sin = math.sin(angle) * SAMPLES_PER_WAVE / wavelength
     column = cos * s - sin * t + shift[0]

@@ -91,10 +91,10 @@ def dubois(
         for view, weight in zip(as_uint8(*views), weights, strict=True)
     )
     weighted_left, weighted_right = weighted_views
-    mixed = cv2.add(weighted_left, weighted_right, None, None, depth_type)  # rounded and clipped
+    mixture = cv2.add(weighted_left, weighted_right, None, None, depth_type)  # rounded and clipped
     if linear:
-        mixed = cv2.LUT(mixed, srgb_from_linear()[None])
-    return np.asarray(mixed, np.uint8)
+        mixture = cv2.LUT(mixture, srgb_from_linear()[None])
+    return np.asarray(mixture, np.uint8)
 
 
 def anaglyph(

@@ -39,11 +39,13 @@ def valid_depth_mask(values: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(values) & (values > 0))
 
 
-def require_same_size(name: str, array: NDArray[Any], other_name: str, other: NDArray[Any]) -> None:
+def require_same_size(
+    name: str, array: NDArray[Any], other_name: str, other_array: NDArray[Any]
+) -> None:
     """Raise an error that gives both sizes unless two arrays have the same rows and columns."""
-    if array.shape[:2] != other.shape[:2]:
+    if array.shape[:2] != other_array.shape[:2]:
         raise InputError(
-            f"{name} is {array.shape[:2]} but {other_name} is {other.shape[:2]}: "
+            f"{name} is {array.shape[:2]} but {other_name} is {other_array.shape[:2]}: "
             "they must have the same size"
         )
 
@@ -65,15 +67,15 @@ def as_uint8(
     floats = [image for image in images if image.dtype.kind == "f"]
     is_unit_range = all(in_unit_range(np.nan_to_num(image, nan=0.0)) for image in floats)
     factors = {"uint16": 1 / 257, "float": 255.0 if is_unit_range else 1.0}
-    converted = []
+    pictures = []
     for image in images:
         if image.dtype != np.uint8:
             dtype_name = "float" if image.dtype.kind == "f" else image.dtype.name
             factor = factors.get(dtype_name, 1.0)
             levels = np.nan_to_num(image.astype(np.float32) * np.float32(factor), nan=0.0)
             image = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
-        converted.append(image)
-    return tuple(converted)
+        pictures.append(image)
+    return tuple(pictures)
 
 
 def as_rgb(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

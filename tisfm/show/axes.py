@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.show.mosaic import new_figure, panel_size
-from tisfm.show.palette import FAINT, INK
+from tisfm.show.palette import GRID_COLOR, TEXT_COLOR
 from tisfm.show.ticks import select_ticks
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ class Sizes:
     line: float  # width
 
     @property
-    def inch(self) -> float:
+    def text_inches(self) -> float:
         """Height of the text, inches."""
         return self.text / 72
 
@@ -101,10 +101,12 @@ def show_picture(
         max(1, min(columns, math.ceil(max_pixel_ratio * box.width))),
         max(1, min(rows, math.ceil(max_pixel_ratio * box.height))),
     )
-    reduced = cv2.resize(np.ascontiguousarray(image), reduced_size, interpolation=cv2.INTER_AREA)
+    reduced_image = cv2.resize(
+        np.ascontiguousarray(image), reduced_size, interpolation=cv2.INTER_AREA
+    )
     is_elongated = max(rows, columns) > _MAX_SIDE_RATIO * min(rows, columns)
     axes.imshow(
-        reduced,
+        reduced_image,
         cmap="gray",
         vmin=0,
         vmax=255,
@@ -115,7 +117,7 @@ def show_picture(
     )
     axes.set(xticks=[], yticks=[])
     for spine in axes.spines.values():
-        spine.set(color=FAINT, linewidth=0.5 * sizes.line)
+        spine.set(color=GRID_COLOR, linewidth=0.5 * sizes.line)
     if title is not None:
         write_title(axes, title, sizes)
     return sizes
@@ -123,14 +125,14 @@ def show_picture(
 
 def write_title(axes: Axes, title: str, sizes: Sizes) -> None:
     """Write a title above axes. A dollar sign does not begin a formula."""
-    axes.set_title(title, fontsize=1.15 * sizes.text, color=INK, parse_math=False)
+    axes.set_title(title, fontsize=1.15 * sizes.text, color=TEXT_COLOR, parse_math=False)
 
 
 def write_inside(axes: Axes, sizes: Sizes, text: str) -> None:
     """Write a text in the middle of empty axes, such as the reason why they are empty."""
     axes.text(
         0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", fontsize=sizes.text,
-        color=INK, parse_math=False,
+        color=TEXT_COLOR, parse_math=False,
     )  # fmt: skip
 
 
@@ -139,11 +141,11 @@ def style_plot(axes: Axes, title: str | None = None) -> Sizes:
     _clear_axes(axes)
     axes.set_aspect("auto")
     sizes = sizes_for(axes, _PLOT_TEXT_SHARE)
-    axes.grid(color=FAINT, linewidth=0.4 * sizes.line, alpha=0.4)
+    axes.grid(color=GRID_COLOR, linewidth=0.4 * sizes.line, alpha=0.4)
     axes.set_axisbelow(True)
-    axes.tick_params(labelsize=sizes.text, colors=INK, width=0.5 * sizes.line)
+    axes.tick_params(labelsize=sizes.text, colors=TEXT_COLOR, width=0.5 * sizes.line)
     for spine in axes.spines.values():
-        spine.set(color=FAINT, linewidth=0.5 * sizes.line)
+        spine.set(color=GRID_COLOR, linewidth=0.5 * sizes.line)
     if title is not None:
         write_title(axes, title, sizes)
     return sizes
@@ -157,8 +159,8 @@ def without_formulas(legend: Legend) -> None:
 
 def name_axis(axes: Axes, sizes: Sizes, x: str, y: str) -> None:
     """Write the quantities and units along both axes of a plot."""
-    axes.set_xlabel(x, fontsize=sizes.text, color=INK, parse_math=False)
-    axes.set_ylabel(y, fontsize=sizes.text, color=INK, parse_math=False)
+    axes.set_xlabel(x, fontsize=sizes.text, color=TEXT_COLOR, parse_math=False)
+    axes.set_ylabel(y, fontsize=sizes.text, color=TEXT_COLOR, parse_math=False)
 
 
 def limit_ticks(axes: Axes, sizes: Sizes) -> None:
@@ -166,7 +168,7 @@ def limit_ticks(axes: Axes, sizes: Sizes) -> None:
     from matplotlib.ticker import MaxNLocator
 
     box = axes.get_window_extent()
-    character_height = sizes.inch * axes.figure.dpi  # px
+    character_height = sizes.text_inches * axes.figure.dpi  # px
     for axis, space in ((axes.xaxis, box.width / 6), (axes.yaxis, box.height / 3)):
         axis.set_major_locator(MaxNLocator(nbins=int(np.clip(space / character_height, 2, 8))))
 
@@ -185,39 +187,47 @@ def draw_bar(
 ) -> Axes:  # axes of the bar
     """Draw a colour bar beside or below a picture, and shrink the picture to make space."""
     max_length = max(len(text) for _, text in ticks)
-    character = _CHARACTER_WIDTH * sizes.inch
+    character = _CHARACTER_WIDTH * sizes.text_inches
     width, height = _picture_size(axes)
     if is_below:
-        bar = _side_axes(axes, "bottom", 0.8 * sizes.inch, 0.6 * sizes.inch)
-        _side_axes(axes, "bottom", 3.2 * sizes.inch, 0).set_axis_off()
+        bar = _side_axes(axes, "bottom", 0.8 * sizes.text_inches, 0.6 * sizes.text_inches)
+        _side_axes(axes, "bottom", 3.2 * sizes.text_inches, 0).set_axis_off()
         bar.imshow(ramp[None], extent=(0, 1, 0, 1), aspect="auto", interpolation="bilinear")
         spaced_ticks = select_ticks(ticks, 1.5 * (max_length + 1) * character / width)
         bar.set_yticks([])
-        bar.set_xticks([share for share, _ in spaced_ticks], [text for _, text in spaced_ticks])
+        bar.set_xticks(
+            [position for position, _ in spaced_ticks], [text for _, text in spaced_ticks]
+        )
         first, *_, last = bar.get_xticklabels()
         first.set_horizontalalignment("left")  # keeps both labels within the picture
         last.set_horizontalalignment("right")
         name = label if len(label) * character < width else short_label
-        bar.set_xlabel(name, fontsize=sizes.text, color=INK, labelpad=2, parse_math=False)
+        bar.set_xlabel(name, fontsize=sizes.text, color=TEXT_COLOR, labelpad=2, parse_math=False)
     else:
-        bar = _side_axes(axes, "right", 0.8 * sizes.inch, 0.6 * sizes.inch)
-        label_width = max_length * character + 2.6 * sizes.inch
+        bar = _side_axes(axes, "right", 0.8 * sizes.text_inches, 0.6 * sizes.text_inches)
+        label_width = max_length * character + 2.6 * sizes.text_inches
         _side_axes(axes, "right", label_width, 0).set_axis_off()
         bar.imshow(ramp[::-1, None], extent=(0, 1, 0, 1), aspect="auto", interpolation="bilinear")
-        bar_height = max(width - label_width - 1.4 * sizes.inch, 0.0) * height / width
-        spaced_ticks = select_ticks(ticks, 1.6 * sizes.inch / max(bar_height, 1e-6))
+        bar_height = max(width - label_width - 1.4 * sizes.text_inches, 0.0) * height / width
+        spaced_ticks = select_ticks(ticks, 1.6 * sizes.text_inches / max(bar_height, 1e-6))
         bar.yaxis.tick_right()
         bar.yaxis.set_label_position("right")
         bar.set_xticks([])
-        bar.set_yticks([share for share, _ in spaced_ticks], [text for _, text in spaced_ticks])
+        bar.set_yticks(
+            [position for position, _ in spaced_ticks], [text for _, text in spaced_ticks]
+        )
         name = label if len(label) * character < min(height, bar_height) else short_label
-        bar.set_ylabel(name, fontsize=sizes.text, color=INK, labelpad=2, parse_math=False)
+        bar.set_ylabel(name, fontsize=sizes.text, color=TEXT_COLOR, labelpad=2, parse_math=False)
     bar.set(xlim=(0, 1), ylim=(0, 1))
     bar.tick_params(
-        labelsize=sizes.text, colors=INK, pad=2, length=0.3 * sizes.text, width=0.5 * sizes.line
+        labelsize=sizes.text,
+        colors=TEXT_COLOR,
+        pad=2,
+        length=0.3 * sizes.text,
+        width=0.5 * sizes.line,
     )
     for spine in bar.spines.values():
-        spine.set(color=FAINT, linewidth=0.5 * sizes.line)
+        spine.set(color=GRID_COLOR, linewidth=0.5 * sizes.line)
     return bar
 
 
@@ -230,9 +240,9 @@ def _clear_axes(axes: Axes) -> None:
             legend.remove()
         axes.set_axes_locator(None)  # type: ignore[arg-type]
     axes.clear()
-    is_laid_out = axes.get_in_layout()
+    is_in_layout = axes.get_in_layout()
     axes.reset_position()
-    axes.set_in_layout(is_laid_out)  # reset_position takes axes out of the layout
+    axes.set_in_layout(is_in_layout)  # reset_position takes axes out of the layout
 
 
 def legend_axes(axes: Axes, width: float, gap: float) -> Axes:

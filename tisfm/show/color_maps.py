@@ -88,13 +88,15 @@ def depth_grey(inverse_depth: ArrayLike, *, limit: float | None = None) -> NDArr
     [[0, 128, 255]]
     """
     values = as_map("inverse_depth", inverse_depth)
-    top = inverse_depth_limit(values) if limit is None else check_limit("limit", limit)
-    if top == 0:
+    max_inverse_depth = (
+        inverse_depth_limit(values) if limit is None else check_limit("limit", limit)
+    )
+    if max_inverse_depth == 0:
         return np.zeros(values.shape, dtype=np.uint8)
     # Values are clipped before they are scaled, so that nothing overflows.
     grey = np.zeros(values.shape)
-    np.minimum(values, top, out=grey, where=valid_depth_mask(values))
-    grey /= top
+    np.minimum(values, max_inverse_depth, out=grey, where=valid_depth_mask(values))
+    grey /= max_inverse_depth
     grey *= 255
     return np.rint(grey, out=grey).astype(np.uint8)
 
@@ -131,12 +133,16 @@ def depth_to_color(inverse_depth: ArrayLike, *, limit: float | None = None) -> N
     (48, 64, 3)
     """
     values = as_map("inverse_depth", inverse_depth)
-    top = inverse_depth_limit(values) if limit is None else check_limit("limit", limit)
+    max_inverse_depth = (
+        inverse_depth_limit(values) if limit is None else check_limit("limit", limit)
+    )
     is_known = np.isfinite(values)
     share = np.where(is_known, 0.0, np.nan)
-    if top > 0:  # values are clipped before they are divided, so that nothing overflows
-        np.clip(values, 0, top, out=share, where=is_known)
-        share /= top
+    if (
+        max_inverse_depth > 0
+    ):  # values are clipped before they are divided, so that nothing overflows
+        np.clip(values, 0, max_inverse_depth, out=share, where=is_known)
+        share /= max_inverse_depth
     return colors_of(share, "depth")
 
 
@@ -206,10 +212,10 @@ def error_to_color(
     low, high = check_error_limits(limits)
     is_known = ~np.isnan(values)
     share = np.full(values.shape, np.nan)
-    clipped = np.clip(values[is_known].astype(np.float64), low, high)
+    clipped_error = np.clip(values[is_known].astype(np.float64), low, high)
     # A difference of logarithms, because the ratio of both ends can overflow.
     span = math.log2(high) - math.log2(low)
-    share[is_known] = (np.log2(clipped) - math.log2(low)) / span
+    share[is_known] = (np.log2(clipped_error) - math.log2(low)) / span
     return colors_of(share, "error")
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from tisfm.errors import InputError
 from tisfm.show.axes import limit_ticks, name_axis, plot_axes, style_plot, write_inside
-from tisfm.show.palette import ESTIMATE, FAINT, INK, OTHER
+from tisfm.show.palette import CONTRAST_COLOR, GRID_COLOR, RESULT_COLOR, TEXT_COLOR
 from tisfm.status import History
 
 if TYPE_CHECKING:
@@ -79,11 +79,11 @@ def draw_energy(
         return target
     target.set_xlim(-0.5, count - 0.5)
     limit_ticks(target, sizes)
-    curves = [("energy", history.energy, ESTIMATE, "-")]
+    curves = [("energy", history.energy, RESULT_COLOR, "-")]
     if is_energy:
-        curves.append(("half-quadratic", history.half_quadratic, OTHER, "--"))
+        curves.append(("half-quadratic", history.half_quadratic, CONTRAST_COLOR, "--"))
     else:
-        curves = [("change", np.maximum(history.change, _MIN_CHANGE), ESTIMATE, "-")]
+        curves = [("change", np.maximum(history.change, _MIN_CHANGE), RESULT_COLOR, "-")]
     if all((values > 0).all() and np.isfinite(values).all() for _, values, _, _ in curves):
         target.set_yscale("log")
     warps = np.flatnonzero(np.diff(history.level) | np.diff(history.warp)) + 1
@@ -100,7 +100,7 @@ def draw_energy(
             label=name,
         )
     for warp in warps:
-        target.axvline(warp - 0.5, color=FAINT, linewidth=0.35 * sizes.line, linestyle=":")
+        target.axvline(warp - 0.5, color=GRID_COLOR, linewidth=0.35 * sizes.line, linestyle=":")
     low, high = target.get_ylim()
     is_log = target.get_yscale() == "log"  # space at the top for the names of levels
     target.set_ylim(low, high * (high / low) ** 0.15 if is_log else high + 0.15 * (high - low))
@@ -110,7 +110,7 @@ def draw_energy(
             loc="best",
             bbox_to_anchor=_LEGEND_BOX,
             fontsize=sizes.text,
-            labelcolor=INK,
+            labelcolor=TEXT_COLOR,
             framealpha=0.8,
         )
     return target
@@ -123,7 +123,7 @@ def _draw_levels(axes: Axes, level: np.ndarray, text: float) -> None:
     character = 0.6 * text / 72 * axes.figure.dpi  # width, px
     for band, (start, stop) in enumerate(pairwise(starts)):
         if band % 2 == 0:
-            axes.axvspan(start - 0.5, stop - 0.5, color=FAINT, alpha=0.12, linewidth=0)
+            axes.axvspan(start - 0.5, stop - 0.5, color=GRID_COLOR, alpha=0.12, linewidth=0)
         space = box.width * (stop - start) / len(level)
         name = f"level {level[start]}"
         if space < len(name) * character:
@@ -137,5 +137,5 @@ def _draw_levels(axes: Axes, level: np.ndarray, text: float) -> None:
                 ha="center",
                 va="top",
                 fontsize=text,
-                color=INK,
+                color=TEXT_COLOR,
             )

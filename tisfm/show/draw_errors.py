@@ -15,8 +15,8 @@ from tisfm.show.arrays import as_flow, as_map, require_same_size, valid_depth_ma
 from tisfm.show.axes import name_axis, plot_axes, style_plot
 from tisfm.show.color_maps import DEPTH_ERROR_RANGE, ERROR_RANGE, check_error_limits, error_to_color
 from tisfm.show.draw_maps import Bar, draw_with_bar
-from tisfm.show.palette import ESTIMATE, FAINT, INK, color_ramp
-from tisfm.show.ticks import doublings
+from tisfm.show.palette import GRID_COLOR, RESULT_COLOR, TEXT_COLOR, color_ramp
+from tisfm.show.ticks import doubling_ticks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -66,12 +66,12 @@ def draw_flow_error(
     >>> scene = two_blocks(48, 64)
     >>> save_figure("error.png", draw_flow_error(1.1 * scene.flow, scene.flow).figure, dpi=60)
     """
-    recovered, true = as_flow("flow", flow), as_flow("truth", truth)
-    require_same_size("truth", true, "flow", recovered)
+    recovered_values, true_values = as_flow("flow", flow), as_flow("truth", truth)
+    require_same_size("truth", true_values, "flow", recovered_values)
     check_error_limits(limits)
-    error = np.full(true.shape[:2], np.nan)
-    if is_known(true).all(axis=2).any():
-        error = endpoint_error_map(recovered, true)
+    error = np.full(true_values.shape[:2], np.nan)
+    if is_known(true_values).all(axis=2).any():
+        error = endpoint_error_map(recovered_values, true_values)
     title = _mean_title(error, "px") if title is None else title
     label = "end-point error (px)", "error (px)"
     return draw_error_map(
@@ -121,17 +121,17 @@ def draw_depth_error(
     >>> scene = two_blocks(48, 64)
     >>> save_figure("error.png", draw_depth_error(scene.depth**1.1, scene.depth).figure, dpi=60)
     """
-    recovered, true = as_map("depth", depth), as_map("truth", truth)
-    require_same_size("truth", true, "depth", recovered)
+    recovered_values, true_values = as_map("depth", depth), as_map("truth", truth)
+    require_same_size("truth", true_values, "depth", recovered_values)
     low, high = check_error_limits(limits)
-    error = np.full(true.shape, np.nan)
-    if (valid_depth_mask(true) & valid_depth_mask(recovered)).any():
-        error = 100 * depth_error_map(recovered, true)
+    error = np.full(true_values.shape, np.nan)
+    if (valid_depth_mask(true_values) & valid_depth_mask(recovered_values)).any():
+        error = 100 * depth_error_map(recovered_values, true_values)
     title = _mean_title(error, "%") if title is None else title
-    percent = (100 * low, 100 * high)
+    percent_limits = (100 * low, 100 * high)
     label = "error of depth (%)", "error (%)"
     return draw_error_map(
-        error, percent, unit="%", label=label, legend=legend, axes=axes, title=title
+        error, percent_limits, unit="%", label=label, legend=legend, axes=axes, title=title
     )
 
 
@@ -185,28 +185,35 @@ def draw_calibration(
         as_map("inverse_depth", inverse_depth),
         as_map("inverse_depth_std", inverse_depth_std),
     )
-    true = as_map("truth", truth)
-    ratios = error_in_deviations(estimate, deviation, true)
+    true_values = as_map("truth", truth)
+    ratios = error_in_deviations(estimate, deviation, true_values)
     thresholds = np.linspace(0, _MAX_DEVIATIONS, _CURVE_POINTS)
-    measured = 100 * np.searchsorted(np.sort(ratios), thresholds, side="right") / len(ratios)
-    expected = [100 * math.erf(threshold / math.sqrt(2)) for threshold in thresholds]
+    measured_percent = (
+        100 * np.searchsorted(np.sort(ratios), thresholds, side="right") / len(ratios)
+    )
+    expected_percent = [100 * math.erf(threshold / math.sqrt(2)) for threshold in thresholds]
     target = plot_axes(4.4, 3.4) if axes is None else axes
     sizes = style_plot(target, title)
     target.plot(
-        thresholds, expected, color=INK, linewidth=sizes.line, linestyle="--", label="normal errors"
+        thresholds,
+        expected_percent,
+        color=TEXT_COLOR,
+        linewidth=sizes.line,
+        linestyle="--",
+        label="normal errors",
     )
     target.plot(
         thresholds,
-        measured,
-        color=ESTIMATE,
+        measured_percent,
+        color=RESULT_COLOR,
         linewidth=1.6 * sizes.line,
         label=f"measured: {100 * (ratios <= 1).mean():.0f} % within one",
     )
-    target.axvline(1.0, color=FAINT, linewidth=0.5 * sizes.line, linestyle=":")
+    target.axvline(1.0, color=GRID_COLOR, linewidth=0.5 * sizes.line, linestyle=":")
     target.set(xlim=(0, _MAX_DEVIATIONS), ylim=(0, 102), xticks=(0, 1, 2, 3))
     target.set_yticks((0, 25, 50, 75, 100))
     name_axis(target, sizes, "error (standard deviations)", "pixels within (%)")
-    target.legend(loc="lower right", fontsize=sizes.text, labelcolor=INK, framealpha=0.8)
+    target.legend(loc="lower right", fontsize=sizes.text, labelcolor=TEXT_COLOR, framealpha=0.8)
     return target
 
 
@@ -231,6 +238,6 @@ def draw_error_map(
     title: str | None = None,
 ) -> Axes:
     """Draw a map of errors, with the bar of its colours unless `legend` is false."""
-    bar = Bar(ramp=color_ramp("error"), ticks=doublings(limits, unit), label=label)
+    bar = Bar(ramp=color_ramp("error"), ticks=doubling_ticks(limits, unit), label=label)
     colors = error_to_color(error, limits=limits)
     return draw_with_bar(colors, bar if legend else None, axes, title)

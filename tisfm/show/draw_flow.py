@@ -12,7 +12,7 @@ from tisfm.show.arrays import as_flow, as_image, as_uint8, check_limit, require_
 from tisfm.show.axes import Sizes, legend_axes, picture_axes, show_picture
 from tisfm.show.flow import color_wheel, flow_to_color, quiver_points, usual_length
 from tisfm.show.mosaic import panel_size
-from tisfm.show.palette import INK
+from tisfm.show.palette import TEXT_COLOR
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -88,11 +88,11 @@ def draw_flow(
     >>> save_figure("flow.png", figure, dpi=60)
     """
     values = as_flow("flow", flow)
-    top = usual_length(values) if limit is None else check_limit("limit", limit)
+    max_motion = usual_length(values) if limit is None else check_limit("limit", limit)
     target = picture_axes(*values.shape[:2]) if axes is None else axes
-    sizes = show_picture(target, flow_to_color(values, limit=top, beyond="same"), title)
+    sizes = show_picture(target, flow_to_color(values, limit=max_motion, beyond="same"), title)
     if legend:
-        _draw_wheel(target, top, sizes)
+        _draw_wheel(target, max_motion, sizes)
     return target
 
 
@@ -139,16 +139,18 @@ def draw_arrows(
     """
     picture, values = as_image("image", image), as_flow("flow", flow)
     require_same_size("flow", values, "image", picture)
-    top = usual_length(values) if limit is None else check_limit("limit", limit)
+    max_motion = usual_length(values) if limit is None else check_limit("limit", limit)
     target = picture_axes(*values.shape[:2]) if axes is None else axes
     show_picture(target, _dim_frame(as_uint8(picture)[0]), title)
-    if top == 0:
+    if max_motion == 0:
         return target
-    step, magnification = arrow_scale(values.shape[:2], top)
+    step, magnification = arrow_scale(values.shape[:2], max_motion)
     arrows = quiver_points(values, step)
     length = np.hypot(arrows.u, arrows.v)
     # Without this bound, one wrong, very long vector would cross the whole picture.
-    factor = magnification * np.minimum(1, _MAX_MOTION_LIMITS * top / np.maximum(length, top))
+    factor = magnification * np.minimum(
+        1, _MAX_MOTION_LIMITS * max_motion / np.maximum(length, max_motion)
+    )
     target.quiver(arrows.x, arrows.y, arrows.u * factor, arrows.v * factor, **ARROW_STYLE)
     return target
 
@@ -179,9 +181,9 @@ def _draw_wheel(axes: Axes, limit: float, sizes: Sizes) -> None:
     height, width = (side / axes.figure.dpi for side in (box.height, box.width))
     rim = f"{limit:.0f}" if limit >= 100 else f"{limit:.2g}"
     texts = [f"rim: ≥ {rim}", "px/frame"]
-    diameter = min(0.2 * width, max(0.6 * height, 2.0 * sizes.inch))
-    width_inches = max(diameter, 0.62 * max(map(len, texts)) * sizes.inch)
-    space = legend_axes(axes, width_inches, 0.5 * sizes.inch)
+    diameter = min(0.2 * width, max(0.6 * height, 2.0 * sizes.text_inches))
+    width_inches = max(diameter, 0.62 * max(map(len, texts)) * sizes.text_inches)
+    space = legend_axes(axes, width_inches, 0.5 * sizes.text_inches)
     wheel = space.inset_axes((0.0, 0.3, 1.0, 0.7))
     wheel.imshow(color_wheel(_WHEEL_PIXELS), aspect="equal", interpolation="antialiased")
     wheel.set_anchor("S")
@@ -194,5 +196,5 @@ def _draw_wheel(axes: Axes, limit: float, sizes: Sizes) -> None:
         ha="center",
         va="top",
         fontsize=sizes.text,
-        color=INK,
+        color=TEXT_COLOR,
     )

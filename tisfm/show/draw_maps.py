@@ -22,8 +22,15 @@ from tisfm.show.color_maps import (
 )
 from tisfm.show.labels import label_overlay
 from tisfm.show.mosaic import MIN_WIDE_RATIO
-from tisfm.show.palette import FAINT, HIDDEN, INK, as_hex, color_ramp, colors_of_categories
-from tisfm.show.ticks import depth_ticks, doublings
+from tisfm.show.palette import (
+    GRID_COLOR,
+    OCCLUSION_COLOR,
+    TEXT_COLOR,
+    as_hex,
+    color_ramp,
+    colors_of_categories,
+)
+from tisfm.show.ticks import depth_ticks, doubling_ticks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -127,10 +134,20 @@ def draw_depth(
     >>> save_figure("depth.png", axes.figure, dpi=60)
     """
     values = as_map("inverse_depth", inverse_depth)
-    top = inverse_depth_limit(values) if limit is None else check_limit("limit", limit)
+    max_inverse_depth = (
+        inverse_depth_limit(values) if limit is None else check_limit("limit", limit)
+    )
     label = f"depth Z ({unit})", f"Z ({unit})"
-    bar = Bar(ramp=GREY_RAMP if grey else color_ramp("depth"), ticks=depth_ticks(top), label=label)
-    picture = depth_grey(values, limit=top) if grey else depth_to_color(values, limit=top)
+    bar = Bar(
+        ramp=GREY_RAMP if grey else color_ramp("depth"),
+        ticks=depth_ticks(max_inverse_depth),
+        label=label,
+    )
+    picture = (
+        depth_grey(values, limit=max_inverse_depth)
+        if grey
+        else depth_to_color(values, limit=max_inverse_depth)
+    )
     return draw_with_bar(picture, bar if legend else None, axes, title)
 
 
@@ -220,7 +237,7 @@ def draw_uncertainty(
     >>> save_figure("deviation.png", axes.figure, dpi=60)
     """
     picture = uncertainty_to_color(inverse_depth, inverse_depth_std, limits=limits)
-    ticks = doublings((100 * limits[0], 100 * limits[1]), "%")
+    ticks = doubling_ticks((100 * limits[0], 100 * limits[1]), "%")
     label = "standard deviation of depth (%)", "deviation (%)"
     bar = Bar(ramp=color_ramp("error"), ticks=ticks, label=label)
     return draw_with_bar(picture, bar if legend else None, axes, title)
@@ -280,12 +297,14 @@ def draw_labels(
     texts = [names[k] if k < len(names) else str(k) for k in present_labels[:_MAX_LABELS]]
     if len(present_labels) > _MAX_LABELS:
         texts.append(f"{len(present_labels) - _MAX_LABELS} more")
-    space = legend_axes(target, (0.65 * max(map(len, texts)) + 2.2) * sizes.inch, 0.5 * sizes.inch)
+    space = legend_axes(
+        target, (0.65 * max(map(len, texts)) + 2.2) * sizes.text_inches, 0.5 * sizes.text_inches
+    )
     colors = colors_of_categories(np.array(present_labels))
     from matplotlib.patches import Patch
 
     patches = [
-        Patch(facecolor=as_hex(colors[k]), edgecolor=FAINT, linewidth=0.5 * sizes.line)
+        Patch(facecolor=as_hex(colors[k]), edgecolor=GRID_COLOR, linewidth=0.5 * sizes.line)
         if k < _MAX_LABELS
         else Patch(facecolor="none", edgecolor="none")
         for k in range(len(texts))
@@ -298,7 +317,7 @@ def draw_labels(
         borderpad=0,
         frameon=False,
         fontsize=sizes.text,
-        labelcolor=INK,
+        labelcolor=TEXT_COLOR,
         handlelength=1.0,
         handleheight=1.0,
         handletextpad=0.5,
@@ -343,6 +362,6 @@ def draw_with_bar(
 def _tint(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Return a picture in colour whose masked pixels are two thirds red."""
     tinted = np.dstack([image] * 3) if image.ndim == 2 else image.copy()
-    red = (tinted[mask].astype(np.uint16) + 2 * np.array(HIDDEN, np.uint16)) // 3
-    tinted[mask] = red.astype(np.uint8)
+    mixture = (tinted[mask].astype(np.uint16) + 2 * np.array(OCCLUSION_COLOR, np.uint16)) // 3
+    tinted[mask] = mixture.astype(np.uint8)
     return tinted

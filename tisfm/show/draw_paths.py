@@ -20,7 +20,14 @@ from tisfm.show.axes import (
     without_formulas,
     write_inside,
 )
-from tisfm.show.palette import ESTIMATE, INK, OTHER, as_hex, color_ramp, colors_of_categories
+from tisfm.show.palette import (
+    CONTRAST_COLOR,
+    RESULT_COLOR,
+    TEXT_COLOR,
+    as_hex,
+    color_ramp,
+    colors_of_categories,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -99,16 +106,16 @@ def draw_path(
     """
     _check_view(view)
     path = _check_poses("poses", poses)
-    true = None if truth is None else _check_poses("truth", truth)
+    true_path = None if truth is None else _check_poses("truth", truth)
     piece_numbers = np.zeros(len(path), np.int64) if piece is None else _check_piece(piece)
-    for name, array in (("truth", true), ("piece", piece_numbers)):
+    for name, array in (("truth", true_path), ("piece", piece_numbers)):
         if array is not None and len(array) != len(path):
             raise InputError(f"{name} has {len(array)} frames but poses have {len(path)}")
     piece_numbers = np.where(_has_pose(path), piece_numbers, -1)
     pieces, counts = np.unique(piece_numbers[piece_numbers >= 0], return_counts=True)
     target = plot_axes(4.4, 3.9) if axes is None else axes
     sizes = style_plot(target, title)
-    if true is None:
+    if true_path is None:
         pieces = pieces[[int(np.argmax(counts))]] if len(pieces) else pieces
         lines = [path[piece_numbers == piece_number, :3, 3] for piece_number in pieces]
         lines = _to_camera_axes(lines, path[piece_numbers == pieces[0]][0]) if lines else []
@@ -118,13 +125,13 @@ def draw_path(
     lines, errors = [], []
     for piece_number in pieces:
         in_piece = piece_numbers == piece_number
-        has_both = in_piece & _has_pose(true)
+        has_both = in_piece & _has_pose(true_path)
         if not has_both.any():
             continue
-        similarity = align(path[has_both, :3, 3], true[has_both, :3, 3])
+        similarity = align(path[has_both, :3, 3], true_path[has_both, :3, 3])
         lines.append(similarity.apply(path[in_piece, :3, 3]))
-        errors.append(similarity.apply(path[has_both, :3, 3]) - true[has_both, :3, 3])
-    true_poses = true[_has_pose(true)]
+        errors.append(similarity.apply(path[has_both, :3, 3]) - true_path[has_both, :3, 3])
+    true_poses = true_path[_has_pose(true_path)]
     name = "no pose to compare"
     if lines:
         rmse = float(np.sqrt(np.square(np.concatenate(errors)).sum(axis=1).mean()))
@@ -199,8 +206,8 @@ def draw_object_paths(
         path = path[_has_pose(path), :3, 3]
         if len(path):
             lines.append(path)
-            _draw_line(target, path, view, sizes, color=INK, style="--", name="camera")
-            _mark_ends(target, path, view, sizes, colors=(INK, INK))
+            _draw_line(target, path, view, sizes, color=TEXT_COLOR, style="--", name="camera")
+            _mark_ends(target, path, view, sizes, colors=(TEXT_COLOR, TEXT_COLOR))
     for number, line in positions.items():
         color = as_hex(colors_of_categories(np.array(number)))
         _draw_line(target, line, view, sizes, color=color, name=f"object {number}")
@@ -227,11 +234,11 @@ def _draw_camera_paths(
 
     handles = []
     for line in true_lines:
-        _draw_line(axes, line, view, sizes, color=INK, style="--", name="truth")
-        handles.append(Line2D([], [], color=INK, linestyle="--", linewidth=sizes.line))
+        _draw_line(axes, line, view, sizes, color=TEXT_COLOR, style="--", name="truth")
+        handles.append(Line2D([], [], color=TEXT_COLOR, linestyle="--", linewidth=sizes.line))
     for line in lines:
         _draw_shaded_line(axes, line, view, sizes)
-        _mark_ends(axes, line, view, sizes, colors=(ESTIMATE, OTHER))
+        _mark_ends(axes, line, view, sizes, colors=(RESULT_COLOR, CONTRAST_COLOR))
     _set_up_axes(axes, sizes, [*lines, *true_lines], view, unit)
     if not lines:
         write_inside(axes, sizes, "no pose" if name == "path" else name)
@@ -326,7 +333,7 @@ def _draw_legend(
     """Draw the legend inside the axes, or above the axes if the legend is wide."""
     legend_arguments = (handles, names) if handles is not None else ()
     longest_name = max(map(len, names or axes.get_legend_handles_labels()[1]))
-    needed_width = (longest_name * 0.6 + 4) * sizes.inch * axes.figure.dpi
+    needed_width = (longest_name * 0.6 + 4) * sizes.text_inches * axes.figure.dpi
     placement: dict[str, Any] = {"loc": "best"}
     if needed_width > _MAX_LEGEND_WIDTH * axes.get_window_extent().width:
         placement = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2}
@@ -337,7 +344,7 @@ def _draw_legend(
         *legend_arguments,
         **placement,
         fontsize=sizes.text,
-        labelcolor=INK,
+        labelcolor=TEXT_COLOR,
         framealpha=0.7,
         handlelength=1.6,
         borderpad=0.3,

@@ -98,16 +98,19 @@ def flow_figure(
     >>> scene = two_blocks(48, 64)
     >>> save_figure("flow.png", flow_figure(1.1 * scene.flow, scene.flow), dpi=60)
     """
-    recovered, true = as_flow("flow", flow), as_flow("truth", truth)
-    require_same_size("truth", true, "flow", recovered)
-    top = usual_length(true) if limit is None else check_limit("limit", limit)
+    recovered_values, true_values = as_flow("flow", flow), as_flow("truth", truth)
+    require_same_size("truth", true_values, "flow", recovered_values)
+    top = usual_length(true_values) if limit is None else check_limit("limit", limit)
     panels = [
         Panel(
             title=name,
             shape=(values.shape[0], values.shape[1]),
             draw=partial(_draw_flow, flow=values, limit=top),
         )
-        for name, values in (("Recovered flow", recovered), ("True flow (black: unknown)", true))
+        for name, values in (
+            ("Recovered flow", recovered_values),
+            ("True flow (black: unknown)", true_values),
+        )
     ]
     return mosaic(_arrange_rows(panels), heading=title, legend=wheel_legend(top))
 
@@ -156,27 +159,29 @@ def depth_error_figure(
     >>> scene = two_blocks(48, 64)
     >>> save_figure("depth.png", depth_error_figure(scene.depth**1.1, scene.depth), dpi=60)
     """
-    recovered, true = as_map("depth", depth), as_map("truth", truth)
-    require_same_size("truth", true, "depth", recovered)
+    recovered_values, true_values = as_map("depth", depth), as_map("truth", truth)
+    require_same_size("truth", true_values, "depth", recovered_values)
     low, high = check_error_limits(limits)
-    scale = depth_errors(recovered, true).scale
-    true_inverse_depth = _inverse_depth(true)
+    scale = depth_errors(recovered_values, true_values).scale
+    true_inverse_depth = _inverse_depth(true_values)
     top = inverse_depth_limit(true_inverse_depth)
-    percent = (100 * low, 100 * high)
+    percent_limits = (100 * low, 100 * high)
     panels = [
         Panel(
             title=name,
-            shape=(true.shape[0], true.shape[1]),
+            shape=(true_values.shape[0], true_values.shape[1]),
             draw=partial(_draw_depth, inverse_depth=inverse_depth, limit=top),
         )
         for name, inverse_depth in (
-            ("Recovered depth (near is bright)", _inverse_depth(recovered) / scale),
+            ("Recovered depth (near is bright)", _inverse_depth(recovered_values) / scale),
             ("True depth (grey: unknown)", true_inverse_depth),
         )
     ]
-    error = 100 * depth_error_map(recovered, true)
-    panels.append(_error_panel("Relative error (grey: unknown)", error, percent, "%"))
-    legend = side_by_side([depth_legend(top, f"depth Z\n({unit})"), error_legend(percent, "%")])
+    error = 100 * depth_error_map(recovered_values, true_values)
+    panels.append(_error_panel("Relative error (grey: unknown)", error, percent_limits, "%"))
+    legend = side_by_side(
+        [depth_legend(top, f"depth Z\n({unit})"), error_legend(percent_limits, "%")]
+    )
     return mosaic(_arrange_rows(panels), heading=title, legend=legend)
 
 

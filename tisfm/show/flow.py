@@ -150,15 +150,17 @@ def flow_to_color(
     radius = flow_radius(values)
     is_known_flow = np.isfinite(radius)
     if limit is None:
-        top = float(np.max(radius, where=is_known_flow, initial=0.0))
+        max_length = float(np.max(radius, where=is_known_flow, initial=0.0))
     else:
-        top = check_limit("limit", limit)
+        max_length = check_limit("limit", limit)
     u = np.where(is_known_flow, values[..., 0], 0)
     v = np.where(is_known_flow, values[..., 1], 0)
     hue = _hue(u, v)
     # With a limit of 0, motion is either zero or beyond the limit.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        share = np.where(radius > 0, np.minimum(radius / top, 2), 0)[..., None].astype(np.float32)
+        share = np.where(radius > 0, np.minimum(radius / max_length, 2), 0)[..., None].astype(
+            np.float32
+        )
     color_beyond = hue * np.float32(_BRIGHTNESS_BEYOND_LIMIT) if beyond == "darker" else hue
     color = np.where(share <= 1, 255 - share * (255 - hue), color_beyond)
     color[~is_known_flow] = 0

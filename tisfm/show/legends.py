@@ -17,7 +17,7 @@ from tisfm.show.draw_flow import ARROW_STYLE, arrow_scale
 from tisfm.show.flow import color_wheel
 from tisfm.show.mosaic import Box, Legend, panel_size, write
 from tisfm.show.palette import color_ramp, colors_of_categories
-from tisfm.show.ticks import depth_ticks, doublings, select_ticks
+from tisfm.show.ticks import depth_ticks, doubling_ticks, select_ticks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,7 +57,7 @@ def flow_legend(
         _draw_wheel(axes, size=size, limit=limit)
         if limit == 0:
             return
-        middle, motion = size[0] / 2, _round_below(limit)
+        middle, motion = size[0] / 2, _round_down(limit)
         _, magnification = arrow_scale(shape, limit)
         inches = motion * magnification * panel_size(*shape)[0] / shape[1]
         axes.quiver([middle - inches / 2], [0.36], [inches], [0.0], **ARROW_STYLE)
@@ -75,7 +75,7 @@ def error_legend(
 
     def draw(axes: Axes) -> None:
         top = _ERROR_BAR_SIZE[1] - _BAR_MARGIN
-        _draw_bar(axes, color_ramp("error"), top, doublings(limits, unit))
+        _draw_bar(axes, color_ramp("error"), top, doubling_ticks(limits, unit))
 
     return _in_inches(_ERROR_BAR_SIZE, draw)
 
@@ -116,8 +116,8 @@ def label_legend(labels: Sequence[int], names: Sequence[str]) -> Legend:
                 parse_math=False,
             )  # fmt: skip
         if len(colors) > _MAX_LABELS:
-            more = f"and {len(colors) - _MAX_LABELS} more"
-            axes.text(left, 0.5 * _SWATCH_LINE, more, va="center", fontsize=_TEXT_SIZE)
+            count_text = f"and {len(colors) - _MAX_LABELS} more"
+            axes.text(left, 0.5 * _SWATCH_LINE, count_text, va="center", fontsize=_TEXT_SIZE)
         axes.set(xlim=(0, size[0]), ylim=(0, size[1]))  # imshow has changed the limits
 
     return _in_inches(size, draw)
@@ -164,7 +164,7 @@ def _draw_wheel(axes: Axes, *, size: tuple[float, float], limit: float) -> None:
     write(axes, middle, size[1] - 2 * radius - 0.05, rim, va="top", fontsize=_TEXT_SIZE)
 
 
-def _round_below(value: float) -> float:
+def _round_down(value: float) -> float:
     """Return the largest round number up to a value: 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(value))
     # With the tolerance the result for 0.2 is 0.2: the product 2 · 10⁻¹ can be rounded upwards.

@@ -32,12 +32,12 @@ DEPTH_PERCENTILE = 95.0
 FLOW_PERCENTILE = 98.0
 """Percentage of lengths of motion inside the range of a picture; set by hand."""
 
-INK = "#0a0b0c"  # lines and text
-FAINT = "#8c8c8c"  # grids and frames
-ESTIMATE = "#0072b2"  # curves of results
-OTHER = "#d55e00"  # curves that contrast with results
-HIDDEN = (255, 0, 60)  # pixels that are not visible in the next frame
-_MAPS = {
+TEXT_COLOR = "#0a0b0c"  # lines and text
+GRID_COLOR = "#8c8c8c"  # grids and frames
+RESULT_COLOR = "#0072b2"  # curves of results
+CONTRAST_COLOR = "#d55e00"  # curves that contrast with results
+OCCLUSION_COLOR = (255, 0, 60)  # pixels that are not visible in the next frame
+_COLOR_MAPS = {
     "depth": cv2.COLORMAP_MAGMA,
     "confidence": cv2.COLORMAP_CIVIDIS,
     "error": cv2.COLORMAP_VIRIDIS,
@@ -45,7 +45,7 @@ _MAPS = {
 # Red, green, blue: the static scene, then the seven colours of Okabe and Ito. Each further colour
 # has the greatest distance from all earlier colours, with normal vision and with missing green or
 # red cones.
-_CATEGORIES = np.array(
+_CATEGORY_COLORS = np.array(
     [
         (191, 191, 191),
         (230, 159, 0),
@@ -92,11 +92,11 @@ def color_ramp(quantity: Quantity) -> NDArray[np.uint8]:
     >>> color_ramp("depth").shape
     (256, 3)
     """
-    if quantity not in _MAPS:
+    if quantity not in _COLOR_MAPS:
         expected = ", ".join(get_args(Quantity))
         raise InputError(f"quantity is {quantity!r}, expected one of {expected}")
     levels = np.arange(256, dtype=np.uint8)[:, None]
-    return np.ascontiguousarray(cv2.applyColorMap(levels, _MAPS[quantity])[:, 0, ::-1])
+    return np.ascontiguousarray(cv2.applyColorMap(levels, _COLOR_MAPS[quantity])[:, 0, ::-1])
 
 
 def colors_of(
@@ -110,8 +110,8 @@ def colors_of(
     levels = np.zeros(share.shape)
     np.clip(share, 0, 1, out=levels, where=is_known)
     codes = np.rint(255 * levels).astype(np.uint8)
-    mapped = cv2.applyColorMap(codes, _MAPS[quantity])
-    colors: NDArray[np.uint8] = np.ascontiguousarray(mapped[..., ::-1])
+    bgr = cv2.applyColorMap(codes, _COLOR_MAPS[quantity])
+    colors: NDArray[np.uint8] = np.ascontiguousarray(bgr[..., ::-1])
     colors[~is_known] = UNKNOWN_COLOR
     return colors
 
@@ -123,8 +123,8 @@ def category_colors(count: int) -> NDArray[np.uint8]:
 
 def colors_of_categories(numbers: NDArray[np.integer]) -> NDArray[np.uint8]:
     """Return the colours of labels from 0, (..., 3), as `category_colors` does."""
-    object_index = 1 + (numbers - 1) % (len(_CATEGORIES) - 1)
-    colors: NDArray[np.uint8] = _CATEGORIES[np.where(numbers == 0, 0, object_index)]
+    object_index = 1 + (numbers - 1) % (len(_CATEGORY_COLORS) - 1)
+    colors: NDArray[np.uint8] = _CATEGORY_COLORS[np.where(numbers == 0, 0, object_index)]
     return colors
 
 

@@ -131,11 +131,11 @@ def _fill_rows(source: NDArray[np.int32]) -> NDArray[np.int32]:
     """
     height, width = source.shape
     flat_source = source.reshape(-1)  # a copy if `source` has a margin
-    empty, before, after, gap_before, gap_after = _filled_neighbours(flat_source, width)
-    nearest = np.where(gap_before <= gap_after, before, after)
-    is_row_empty = np.minimum(gap_before, gap_after) == width
+    empty_pixels, left, right, left_gap, right_gap = _filled_neighbours(flat_source, width)
+    nearest = np.where(left_gap <= right_gap, left, right)
+    is_row_empty = np.minimum(left_gap, right_gap) == width
     nearest[is_row_empty] = 0
-    flat_source[empty] = np.where(is_row_empty, width - 1, flat_source[nearest])
+    flat_source[empty_pixels] = np.where(is_row_empty, width - 1, flat_source[nearest])
     return flat_source.reshape(height, width)
 
 
@@ -147,27 +147,30 @@ def _fill_from_behind(source: NDArray[np.int32], shifts: NDArray[np.int32]) -> N
     """
     height, width = source.shape
     flat_source = source.reshape(-1)
-    empty, before, after, gap_before, gap_after = _filled_neighbours(flat_source, width)
-    is_row_empty = np.minimum(gap_before, gap_after) == width
-    before, after = (
-        np.where(gap < width, side, 0) for gap, side in ((gap_before, before), (gap_after, after))
+    empty_pixels, left, right, left_gap, right_gap = _filled_neighbours(flat_source, width)
+    is_row_empty = np.minimum(left_gap, right_gap) == width
+    left, right = (
+        np.where(gap < width, side, 0) for gap, side in ((left_gap, left), (right_gap, right))
     )
-    row = empty // width * width
-    shift_before, shift_after = (
-        shifts.reshape(-1)[row + flat_source[side]] for side in (before, after)
+    row = empty_pixels // width * width
+    left_shift, right_shift = (
+        shifts.reshape(-1)[row + flat_source[side]] for side in (left, right)
     )
-    is_same_surface = np.abs(shift_after - shift_before) <= _MAX_SURFACE_DIFFERENCE
-    is_farther = np.where(is_same_surface, gap_after < gap_before, shift_after < shift_before)
-    is_from_after = (gap_before == width) | ((gap_after < width) & is_farther)
-    edge = flat_source[np.where(is_from_after, after, before)]
-    mirrored = edge + np.where(is_from_after, gap_after, -gap_before)
+    is_same_surface = np.abs(right_shift - left_shift) <= _MAX_SURFACE_DIFFERENCE
+    is_farther = np.where(is_same_surface, right_gap < left_gap, right_shift < left_shift)
+    is_from_right = (left_gap == width) | ((right_gap < width) & is_farther)
+    edge_column = flat_source[np.where(is_from_right, right, left)]
+    mirrored = edge_column + np.where(is_from_right, right_gap, -left_gap)
     is_inside = (mirrored >= 0) & (mirrored < width)
-    mirrored = np.where(is_inside, mirrored, edge)
+    mirrored = np.where(is_inside, mirrored, edge_column)
     inverse_depth_map = shifts.reshape(-1)
     is_behind = (
-        inverse_depth_map[row + mirrored] <= inverse_depth_map[row + edge] + _MAX_SURFACE_DIFFERENCE
+        inverse_depth_map[row + mirrored]
+        <= inverse_depth_map[row + edge_column] + _MAX_SURFACE_DIFFERENCE
     )
-    flat_source[empty] = np.where(is_row_empty, width - 1, np.where(is_behind, mirrored, edge))
+    flat_source[empty_pixels] = np.where(
+        is_row_empty, width - 1, np.where(is_behind, mirrored, edge_column)
+    )
     return flat_source.reshape(height, width)
 
 
@@ -180,13 +183,13 @@ def _filled_neighbours(
 
     A distance is `width` if this side of the row has no filled column.
     """
-    filled = np.flatnonzero(flat_source >= 0)
-    empty = np.flatnonzero(flat_source < 0)
-    next_filled = np.searchsorted(filled, empty)
+    filled_pixels = np.flatnonzero(flat_source >= 0)
+    empty_pixels = np.flatnonzero(flat_source < 0)
+    next_filled = np.searchsorted(filled_pixels, empty_pixels)
     # Two additional distant columns count as filled: before the first row and after the last row.
-    filled = np.concatenate([[-width - 1], filled, [len(flat_source) + width]])
-    before, after = filled[next_filled], filled[next_filled + 1]
-    start = empty - empty % width
-    gap_before = np.where(before >= start, empty - before, width)
-    gap_after = np.where(after < start + width, after - empty, width)
-    return empty, before, after, gap_before, gap_after
+    filled_pixels = np.concatenate([[-width - 1], filled_pixels, [len(flat_source) + width]])
+    left, right = filled_pixels[next_filled], filled_pixels[next_filled + 1]
+    start = empty_pixels - empty_pixels % width
+    left_gap = np.where(left >= start, empty_pixels - left, width)
+    right_gap = np.where(right < start + width, right - empty_pixels, width)
+    return empty_pixels, left, right, left_gap, right_gap

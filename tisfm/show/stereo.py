@@ -181,8 +181,8 @@ def _fill_holes(inverse_depth: NDArray[np.floating[Any]]) -> NDArray[np.floating
         return inverse_depth
     from_left = _fill_from_left(inverse_depth, is_known)
     from_right = _fill_from_left(inverse_depth[:, ::-1], is_known[:, ::-1])[:, ::-1]
-    farther = np.fmin(from_left, from_right)
-    return np.where(is_known, inverse_depth, np.nan_to_num(farther, nan=0.0))
+    farther_depth = np.fmin(from_left, from_right)
+    return np.where(is_known, inverse_depth, np.nan_to_num(farther_depth, nan=0.0))
 
 
 def _fill_from_left(
@@ -191,15 +191,15 @@ def _fill_from_left(
     """Return the last known value of the row up to each pixel, or NaN."""
     column = np.where(is_known, np.arange(values.shape[1]), -1)
     last_column = np.maximum.accumulate(column, axis=1)
-    filled = np.take_along_axis(values, np.maximum(last_column, 0), axis=1)
-    return np.where(last_column < 0, np.nan, filled)
+    filled_values = np.take_along_axis(values, np.maximum(last_column, 0), axis=1)
+    return np.where(last_column < 0, np.nan, filled_values)
 
 
 def _render_eye(picture: NDArray[np.uint8], parallax: _Parallax, eye: float) -> NDArray[np.uint8]:
     """Return the view of an eye; pixels beyond the border are repeated or mirrored."""
     height, width = parallax.nearness.shape
     size = (_UPSAMPLING * width, height)
-    upsampled = cv2.resize(
+    upsampled_picture = cv2.resize(
         picture, size, interpolation=cv2.INTER_NEAREST
     )  # so that unshifted parts stay sharp
     nearness = cv2.dilate(
@@ -210,7 +210,7 @@ def _render_eye(picture: NDArray[np.uint8], parallax: _Parallax, eye: float) -> 
     nearest_depth = cv2.resize(nearness, size, interpolation=cv2.INTER_NEAREST)
     depth = np.where(np.abs(depth - nearest_depth) < _MIN_EDGE_CHANGE, depth, nearest_depth)
     displacement = _UPSAMPLING * parallax.shift * eye
-    eye_view = second_view(upsampled, depth, displacement=displacement, fill="behind")
+    eye_view = second_view(upsampled_picture, depth, displacement=displacement, fill="behind")
     source_columns = np.arange(_UPSAMPLING * width) - round(displacement * parallax.screen)
     eye_view = eye_view[:, source_columns.clip(0, _UPSAMPLING * width - 1)]
     return np.asarray(cv2.resize(eye_view, (width, height), interpolation=cv2.INTER_AREA))
@@ -224,5 +224,5 @@ def _crop_border(picture: NDArray[np.uint8], parallax: _Parallax) -> NDArray[np.
         return picture
     crop_share = max(_MIN_CROP_SHARE, 1 - 2 * margin / width)
     size = max(1, round(crop_share * width)), max(1, round(crop_share * height))
-    cropped = cv2.getRectSubPix(picture, size, ((width - 1) / 2, (height - 1) / 2))
-    return np.asarray(cv2.resize(cropped, (width, height), interpolation=cv2.INTER_CUBIC))
+    center_image = cv2.getRectSubPix(picture, size, ((width - 1) / 2, (height - 1) / 2))
+    return np.asarray(cv2.resize(center_image, (width, height), interpolation=cv2.INTER_CUBIC))

@@ -25,17 +25,17 @@ def depth_ticks(
     if limit == 0:
         return [far_tick, (1.0, "none")]
     min_depth = 1 / limit
-    ticks = [(1.0, f"≤ {number_text(min_depth)}")]
+    ticks = [(1.0, f"≤ {format_number(min_depth)}")]
     if math.isfinite(min_depth):
         power = math.floor(math.log10(min_depth))
         for depth in (float(f"{digit}e{power + k}") for k in range(3) for digit in (1, 2, 5)):
             share = 1 / (depth * limit) if depth > min_depth * (1 + 1e-9) else 1.0
             if _MIN_DEPTH_POSITION <= share < 1:
-                ticks.append((share, number_text(depth)))
+                ticks.append((share, format_number(depth)))
     return [far_tick, *reversed(ticks)]
 
 
-def doublings(
+def doubling_ticks(
     limits: tuple[float, float],  # values at both ends of the scale
     unit: str,  # written after each value
 ) -> list[tuple[float, str]]:
@@ -56,20 +56,22 @@ def doublings(
     return [(0.0, f"≤ {low:.3g} {unit}"), *ticks, (1.0, f"≥ {high:.3g} {unit}")]
 
 
-def number_text(value: float) -> str:
+def format_number(value: float) -> str:
     """Return a number with three digits; a very large or small number has an exponent."""
-    rounded = float(f"{value:.3g}")
-    is_plain = _MIN_PLAIN <= abs(rounded) < _MAX_PLAIN
-    return np.format_float_positional(rounded, trim="-") if is_plain else f"{rounded:.3g}"
+    rounded_value = float(f"{value:.3g}")
+    is_plain = _MIN_PLAIN <= abs(rounded_value) < _MAX_PLAIN
+    return (
+        np.format_float_positional(rounded_value, trim="-") if is_plain else f"{rounded_value:.3g}"
+    )
 
 
 def select_ticks(
     ticks: Sequence[tuple[float, str]], min_distance: float
 ) -> list[tuple[float, str]]:
     """Return the first and the last tick, and ticks between them at a minimum distance."""
-    first, *between, last = ticks
-    chosen = [first]
-    for tick in between:
-        if tick[0] - chosen[-1][0] >= min_distance and last[0] - tick[0] >= min_distance:
-            chosen.append(tick)
-    return [*chosen, last]
+    first, *inner_ticks, last = ticks
+    selected_ticks = [first]
+    for tick in inner_ticks:
+        if tick[0] - selected_ticks[-1][0] >= min_distance and last[0] - tick[0] >= min_distance:
+            selected_ticks.append(tick)
+    return [*selected_ticks, last]

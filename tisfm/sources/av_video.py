@@ -80,10 +80,10 @@ class AvVideo:
                 size = stream.width, stream.height, self._aspect
                 refuse_large_frames(path, *square_size(*size))
                 decoder = _FrameDecoder(container, stream)
-                first = next((item for item in decoder if isinstance(item, VideoFrame)), None)
-                if first is None:
+                first_frame = next((item for item in decoder if isinstance(item, VideoFrame)), None)
+                if first_frame is None:
                     raise InputError(f"{path} has no frame")
-                if first.rotation % 180 == 90:  # frames are rotated to be upright
+                if first_frame.rotation % 180 == 90:  # frames are rotated to be upright
                     size = stream.height, stream.width, 1 / self._aspect
                 notes = (_streams_note(path, container, stream), resampling_note(path, *size))
                 self.notes = tuple(filter(None, notes))
@@ -107,7 +107,7 @@ class AvVideo:
                     else:
                         is_intact = False
                     if is_selected(index, selection):
-                        yield self._read(frame, index, time, is_intact)
+                        yield self._make_frame(frame, index, time, is_intact)
                     index += 1
             except av.FFmpegError as error:
                 raise FormatError(
@@ -126,7 +126,7 @@ class AvVideo:
         elif lacks_frames(decoder.packet_count, self.stated_count) and is_early is not False:
             raise cut_off_error(self.title, f"{index}", f"{self.stated_count} frames")
 
-    def _read(
+    def _make_frame(
         self, frame: VideoFrame | av.FFmpegError, index: int, time: float | None, is_intact: bool
     ) -> RawFrame | BadFrame:
         name = f"{self.prefix}_{index:06d}"
@@ -180,7 +180,7 @@ def _streams_note(path: str, container: InputContainer, used_stream: VideoStream
     streams = _video_streams(container)
     if len(streams) < 2:
         return ""
-    others = ", ".join(
+    other_streams = ", ".join(
         f"{number} ({stream.width} × {stream.height} px)"
         for number, stream in enumerate(container.streams.video)
         if stream in streams and stream.index != used_stream.index
@@ -194,7 +194,7 @@ def _streams_note(path: str, container: InputContainer, used_stream: VideoStream
     return (
         f"{path} has {len(streams)} video streams: {number} "
         f"({used_stream.width} × {used_stream.height} px) is read, as it {reason}; left out: "
-        f"{others}, which `ffmpeg -i FILE -map 0:v:NUMBER -c copy OTHER` copies to a "
+        f"{other_streams}, which `ffmpeg -i FILE -map 0:v:NUMBER -c copy OTHER` copies to a "
         "file of its own"
     )
 

@@ -136,7 +136,7 @@ class LabelReader:
         self._next_index = 0
         self._has_void = self._has_objects = False
 
-    def labels(
+    def read_labels(
         self,
         index: int,
         name: str,  # name of the frame in messages

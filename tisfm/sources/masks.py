@@ -108,7 +108,7 @@ class MaskReader:
         self._items: Iterator[Any] = iter(items)
         self._next_index = 0
 
-    def ignored(self, index: int, name: str, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    def read_ignored(self, index: int, name: str, shape: tuple[int, ...]) -> NDArray[np.bool_]:
         """Return the ignored pixels, (H, W) bool, of a frame with this number and shape.
 
         Raises OSError, tisfm.formats.FormatError if the mask cannot be read.

@@ -80,7 +80,7 @@ class FramePair:
             error.args = (f"frames {self.name0} and {self.name1}: {error}",)
             raise
 
-    def keep(self, window: Window, result: Interpretation, *, camera: Camera | None) -> None:
+    def store(self, window: Window, result: Interpretation, *, camera: Camera | None) -> None:
         """Store a result of `interpret` in the window, as `interpret` with a window does."""
         from tisfm.pair import store_pair
 

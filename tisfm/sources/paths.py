@@ -98,33 +98,33 @@ def match_pattern(pattern: str) -> ImageSelection:
     Raises FileNotFoundError if no file matches in either way.
     """
     matches = {
-        reading: files for reading in _pattern_readings(pattern) if (files := _glob(reading))
+        variant: files for variant in _pattern_variants(pattern) if (files := _glob_files(variant))
     }
     if not matches:
         raise FileNotFoundError(f"no file matches {pattern}: {_advice_on_pattern(pattern)}")
-    reading, files = next(iter(matches.items()))
+    variant, files = next(iter(matches.items()))
     notes = [
         f"{pattern} is read as a pattern, where [ ] stand for one character; for the files with "
-        f"these brackets in their path, write {other}"
-        for other, others in matches.items()
-        if reading == pattern and set(others) != set(files)
+        f"these brackets in their path, write {other_variant}"
+        for other_variant, other_files in matches.items()
+        if variant == pattern and set(other_files) != set(files)
     ]
     return ImageSelection(sort_by_name(files), tuple(notes[:1]))
 
 
 def files_of_pattern(pattern: str) -> list[Path]:
     """Return the files that `match_pattern` returns, or an empty list."""
-    return next(filter(None, map(_glob, _pattern_readings(pattern))), [])
+    return next(filter(None, map(_glob_files, _pattern_variants(pattern))), [])
 
 
-def _pattern_readings(pattern: str) -> list[str]:
+def _pattern_variants(pattern: str) -> list[str]:
     """Return a pattern, and the same pattern with brackets as part of the name."""
     if "[" not in pattern:
         return [pattern]
     folder = _existing_folder(pattern)
-    rest = pattern[len(folder) :]
-    readings = (pattern, glob.escape(folder) + rest, pattern.replace("[", "[[]"))
-    return list(dict.fromkeys(readings))
+    pattern_end = pattern[len(folder) :]
+    variants = (pattern, glob.escape(folder) + pattern_end, pattern.replace("[", "[[]"))
+    return list(dict.fromkeys(variants))
 
 
 def _existing_folder(path: str) -> str:
@@ -175,18 +175,18 @@ def refuse_numbered_pattern(path: str) -> None:
     The message contains the right glob pattern. A path is accepted if it exists or matches files.
     """
     folder = _existing_folder(path)
-    rest = path[len(folder) :]
-    if not _FRAME_NUMBER.search(rest) or os.path.exists(path) or files_of_pattern(path):
+    pattern_end = path[len(folder) :]
+    if not _FRAME_NUMBER.search(pattern_end) or os.path.exists(path) or files_of_pattern(path):
         return
-    pattern = glob.escape(folder) + _FRAME_NUMBER.sub("*", rest)
-    no_match = "" if files_of_pattern(pattern) else ", though no file matches it now"
+    pattern = glob.escape(folder) + _FRAME_NUMBER.sub("*", pattern_end)
+    no_match_text = "" if files_of_pattern(pattern) else ", though no file matches it now"
     raise FileNotFoundError(
         f"there is no file {path}: for pictures with a number in their names write a pattern with "
-        f"*, '{pattern}'{no_match}"
+        f"*, '{pattern}'{no_match_text}"
     )
 
 
-def _glob(pattern: str) -> list[Path]:
+def _glob_files(pattern: str) -> list[Path]:
     return [file for file in map(Path, glob.glob(pattern)) if file.is_file()]
 
 
@@ -203,13 +203,13 @@ def _advice_on_pattern(pattern: str) -> str:
 def _advice_without_images(folder: str, visible_paths: Sequence[Path]) -> str:
     """Return advice for a folder without images, from its visible files and folders."""
     videos = [file for file in visible_paths if file.suffix.lower() in _VIDEO_SUFFIXES]
-    if skipped := _skipped_notes(folder, visible_paths, is_folder_unread=True):
-        return ", but " + "; ".join(skipped)
+    if skipped_notes := _skipped_notes(folder, visible_paths, is_folder_unread=True):
+        return ", but " + "; ".join(skipped_notes)
     if videos:
         return f", but {_join_names([file.name for file in videos])}: give the path of one video"
     if subfolders := list(_folders_with_images(Path(folder))):
-        begin = "a folder below it has" if len(subfolders) == 1 else "folders below it have"
-        return f", but {begin}: give {_join_names([str(path) for path in subfolders], 'or')}"
+        subject = "a folder below it has" if len(subfolders) == 1 else "folders below it have"
+        return f", but {subject}: give {_join_names([str(path) for path in subfolders], 'or')}"
     return f": expected files ending in {', '.join(IMAGE_SUFFIXES)}"
 
 
@@ -278,6 +278,6 @@ def _join_names(names: Sequence[str], conjunction: str = "and") -> str:
     if len(names) == 1:
         return names[0]
     if len(names) > _MAX_LISTED_NAMES:
-        rest = len(names) - _MAX_LISTED_NAMES
-        return f"{', '.join(names[:_MAX_LISTED_NAMES])} {conjunction} {rest} more"
+        pattern_end = len(names) - _MAX_LISTED_NAMES
+        return f"{', '.join(names[:_MAX_LISTED_NAMES])} {conjunction} {pattern_end} more"
     return f"{', '.join(names[:-1])} {conjunction} {names[-1]}"

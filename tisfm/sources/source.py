@@ -281,47 +281,49 @@ class FrameSource:
         masks = None if self._masks is None else self._masks.reader()
         labels = None if self._labels is None else self._labels.reader()
         previous: tuple[str, tuple[int, ...]] | None = None  # name and shape of the frame before
-        for raw in self._reader.read(self.selection):
-            if isinstance(raw, BadFrame):
-                yield raw
+        for raw_frame in self._reader.read(self.selection):
+            if isinstance(raw_frame, BadFrame):
+                yield raw_frame
                 continue
-            if previous is not None and raw.image.shape != previous[1]:
+            if previous is not None and raw_frame.image.shape != previous[1]:
                 raise InputError(
-                    f"frames {previous[0]} and {raw.name}: the first is {previous[1]}, the second "
-                    f"{raw.image.shape}, but they must have the same size and channels"
+                    f"frames {previous[0]} and {raw_frame.name}: the first is {previous[1]}, the "
+                    f"second {raw_frame.image.shape}, but they must have the same size and channels"
                 )
-            previous = raw.name, raw.image.shape
-            yield self._prepare(raw, masks, labels)
-            del raw  # free its memory before the next frame is read
+            previous = raw_frame.name, raw_frame.image.shape
+            yield self._prepare(raw_frame, masks, labels)
+            del raw_frame  # free its memory before the next frame is read
         if labels is not None:
             labels.check()
 
     def _prepare(
-        self, raw: RawFrame, masks: MaskReader | None, given_labels: LabelReader | None
+        self, raw_frame: RawFrame, masks: MaskReader | None, given_labels: LabelReader | None
     ) -> SourceFrame:
         """Return a frame, cropped and shrunk, with its mask and labels."""
-        image, full_shape = raw.image, None
+        image, full_shape = raw_frame.image, None
         if not self._crop_resize.keeps_frames:
-            image, full_shape = self._crop_resize.apply(image, raw.name), image.shape[:2]
+            image, full_shape = self._crop_resize.apply(image, raw_frame.name), image.shape[:2]
         ignored = None
         if masks is not None:
-            ignored = masks.ignored(raw.index, raw.name, raw.image.shape)
-            ignored = self._crop_resize.apply_to_mask(ignored, raw.name)
+            ignored = masks.read_ignored(raw_frame.index, raw_frame.name, raw_frame.image.shape)
+            ignored = self._crop_resize.apply_to_mask(ignored, raw_frame.name)
         labels = None
         if given_labels is not None:
-            labels = given_labels.labels(raw.index, raw.name, (raw.image.shape, image.shape))
+            labels = given_labels.read_labels(
+                raw_frame.index, raw_frame.name, (raw_frame.image.shape, image.shape)
+            )
         if labels is not None:
             is_void = labels == VOID
             labels = np.where(is_void, np.uint8(0), labels)
             if labels.shape != image.shape[:2]:
-                is_void = self._crop_resize.apply_to_mask(is_void, raw.name)
-                labels = self._crop_resize.apply_to_labels(labels, raw.name)
+                is_void = self._crop_resize.apply_to_mask(is_void, raw_frame.name)
+                labels = self._crop_resize.apply_to_labels(labels, raw_frame.name)
             if is_void.any():
                 ignored = is_void if ignored is None else ignored | is_void
         return SourceFrame(
-            index=raw.index,
-            name=raw.name,
-            time=raw.time,
+            index=raw_frame.index,
+            name=raw_frame.name,
+            time=raw_frame.time,
             image=image,
             ignored=ignored,
             labels=labels,

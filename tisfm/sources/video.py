@@ -148,10 +148,10 @@ def open_video(
     Raises OSError if the file cannot be read.
     """
     with open_file(path) as file:
-        beginning = file.read(max(map(len, _PLAYLIST_SIGNATURES)))
-    if beginning.startswith(_PLAYLIST_SIGNATURES):
+        first_bytes = file.read(max(map(len, _PLAYLIST_SIGNATURES)))
+    if first_bytes.startswith(_PLAYLIST_SIGNATURES):
         raise FormatError(f"{path} is a list of other files, not a video: give one of those files")
-    if not beginning:
+    if not first_bytes:
         raise FormatError(f"{path} is empty (0 bytes): copy or record it again")
     if reason := reason_without_frames(path):
         raise FormatError(

@@ -47,10 +47,10 @@ def count_video_streams(path: str) -> int | None:
     """Count the video streams of an MP4, QuickTime or Matroska file; None for other files."""
     end = Path(path).stat().st_size
     with open_file(path) as file:
-        beginning = file.read(8)
-        if beginning[:4] == _EBML.to_bytes(4, "big"):
+        first_bytes = file.read(8)
+        if first_bytes[:4] == _EBML.to_bytes(4, "big"):
             return _count_matroska_videos(file, end)
-        if beginning[4:8] in _MP4_FIRST_BOXES:
+        if first_bytes[4:8] in _MP4_FIRST_BOXES:
             return _count_mp4_videos(file, end)
     return None
 
@@ -61,14 +61,14 @@ def _boxes(file: BinaryIO, begin: int, end: int) -> Iterator[tuple[bytes, int, i
         if begin + 8 > end:
             return
         file.seek(begin)
-        head = file.read(16)
-        size, content = int.from_bytes(head[:4], "big"), begin + 8
+        header = file.read(16)
+        size, content_begin = int.from_bytes(header[:4], "big"), begin + 8
         if size == 1:
-            size, content = int.from_bytes(head[8:16], "big"), begin + 16
+            size, content_begin = int.from_bytes(header[8:16], "big"), begin + 16
         stop = end if size == 0 else begin + size
-        if stop < content:
+        if stop < content_begin:
             return
-        yield head[4:8], content, stop
+        yield header[4:8], content_begin, stop
         begin = stop
 
 
@@ -84,13 +84,13 @@ def _boxes_by_path(
     file: BinaryIO, begin: int, end: int, kinds: tuple[bytes, ...]
 ) -> Iterator[tuple[int, int]]:
     """Yield content begin and end of boxes of the last kind, nested in boxes of earlier kinds."""
-    for kind, content, stop in _boxes(file, begin, end):
+    for kind, content_begin, stop in _boxes(file, begin, end):
         if kind != kinds[0] or stop > end:
             continue
         if len(kinds) == 1:
-            yield content, stop
+            yield content_begin, stop
         else:
-            yield from _boxes_by_path(file, content, stop, kinds[1:])
+            yield from _boxes_by_path(file, content_begin, stop, kinds[1:])
 
 
 def _handler_type(file: BinaryIO, begin: int, end: int) -> bytes:
@@ -116,10 +116,10 @@ def _count_matroska_videos(file: BinaryIO, end: int) -> int:
 
 def _is_video(file: BinaryIO, begin: int, end: int) -> bool:
     """Return whether a track of a Matroska file is a video track."""
-    for kind, content, stop in _elements(file, begin, end):
+    for kind, content_begin, stop in _elements(file, begin, end):
         if kind == _TRACK_TYPE:
-            file.seek(content)
-            return int.from_bytes(file.read(stop - content), "big") == _VIDEO_TRACK
+            file.seek(content_begin)
+            return int.from_bytes(file.read(stop - content_begin), "big") == _VIDEO_TRACK
     return False
 
 
@@ -129,12 +129,12 @@ def _elements(file: BinaryIO, begin: int, end: int) -> Iterator[tuple[int, int, 
         file.seek(begin)
         kind = _read_integer(file, with_marker=True)
         size = _read_integer(file, with_marker=False)
-        content = file.tell()
-        if kind is None or size is None or content > end:
+        content_begin = file.tell()
+        if kind is None or size is None or content_begin > end:
             return
         value, is_unknown = size
-        stop = end if is_unknown else min(end, content + value)
-        yield kind[0], content, stop
+        stop = end if is_unknown else min(end, content_begin + value)
+        yield kind[0], content_begin, stop
         begin = stop
         if begin >= end:
             return
@@ -154,5 +154,7 @@ def _read_integer(file: BinaryIO, *, with_marker: bool) -> tuple[int, bool] | No
     if len(data) < length:
         return None
     value = int.from_bytes(data, "big")
-    unmarked = value & ((1 << 7 * length) - 1)
-    return (value if with_marker else unmarked), unmarked == (1 << 7 * length) - 1
+    value_without_marker = value & ((1 << 7 * length) - 1)
+    return (value if with_marker else value_without_marker), value_without_marker == (
+        1 << 7 * length
+    ) - 1
