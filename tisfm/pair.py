@@ -198,7 +198,10 @@ def interpret_pair(
         if deviation is not None:
             deviation[occluded] = np.inf
         pixel_confidence = confidence(
-            estimate.precision, occluded, normalized=estimate.normalized, freedom=estimate.freedom
+            estimate.precision,
+            occluded,
+            normalized=estimate.is_normalized,
+            freedom=estimate.freedom,
         )
     history, is_finite = _finite_history(history_of(estimate.history))
     status = estimate.status

@@ -236,13 +236,13 @@ def depth_of_matches(
     cx, cy = camera.center_for(*frame0.shape[:2])
     pinhole = np.array([[camera.focal, 0, cx], [0, camera.focal, cy], [0, 0, 1]])
     views = [np.asarray(pinhole @ motion) for motion in (np.eye(3, 4), pose[:3])]
-    points = cv2.triangulatePoints(views[0], views[1], matches.before.T, matches.after.T)
+    points = cv2.triangulatePoints(views[0], views[1], matches.points0.T, matches.points1.T)
     points = points / points[3]
     valid = points[2] > 0
-    for view, positions in zip(views, (matches.before, matches.after), strict=True):
+    for view, positions in zip(views, (matches.points0, matches.points1), strict=True):
         image = view @ points
         valid &= np.linalg.norm(image[:2] / image[2] - positions.T, axis=0) <= MAX_MATCH_ERROR
     depth = np.full(frame0.shape[:2], np.nan)
-    columns, rows = np.rint(matches.before[valid]).astype(int).T
+    columns, rows = np.rint(matches.points0[valid]).astype(int).T
     depth[rows, columns] = points[2, valid]
     return depth.astype(np.float32)

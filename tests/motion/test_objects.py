@@ -226,7 +226,7 @@ def estimate_of(inverse_depth, labels):
         inverse_depth_std=nothing + 1,
         precision=np.zeros((7, *shape), np.float32),
         level=0,
-        normalized=True,
+        is_normalized=True,
         freedom=1,
         history=[],
         status=tisfm.status.Status("converged"),

@@ -111,9 +111,9 @@ def test_the_images_decide_about_the_label_of_each_part(scene, refined):
     mine = labels == 2
     np.testing.assert_array_equal(estimate.precision[:, ~mine], usual.precision[:, ~mine])
     trust, own = (
-        confidence(each.precision, leaves_image(each.flow), normalized=each.normalized, freedom=1)[
-            mine
-        ]
+        confidence(
+            each.precision, leaves_image(each.flow), normalized=each.is_normalized, freedom=1
+        )[mine]
         for each in (estimate, usual)
     )
     # The depth of this label comes from the true flow, not from the images.

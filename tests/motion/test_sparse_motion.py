@@ -31,7 +31,11 @@ def made(kind, *, count=300, noise=0.2, wrong=0.0, twist=TWIST):
     after += rng.normal(scale=noise, size=after.shape)
     lost = rng.random(count) < wrong
     after[lost] = rng.uniform(0, np.array(SHAPE[::-1]) - 1, (lost.sum(), 2))
-    return Matches(before=before, after=after), rotation, translation / np.linalg.norm(translation)
+    return (
+        Matches(points0=before, points1=after),
+        rotation,
+        translation / np.linalg.norm(translation),
+    )
 
 
 def turn(a, b):
@@ -93,12 +97,15 @@ def test_lengths_scale_between_levels():
 def test_too_few_matches_show_no_motion(count):
     rng = np.random.default_rng(0)
     points = rng.uniform(0, 200, (2, count, 2))
-    assert sparse_motions(Matches(before=points[0], after=points[1]), CAMERA, SHAPE) == ([], None)
+    assert sparse_motions(Matches(points0=points[0], points1=points[1]), CAMERA, SHAPE) == (
+        [],
+        None,
+    )
 
 
 def test_points_on_one_spot_give_no_error():
     points = np.full((40, 2), 50.0)
-    motions, _ = sparse_motions(Matches(before=points, after=points + 3), CAMERA, SHAPE)
+    motions, _ = sparse_motions(Matches(points0=points, points1=points + 3), CAMERA, SHAPE)
     assert all(np.isfinite(motion.rotation).all() for motion in motions)
 
 
@@ -111,9 +118,9 @@ def far():
 
 def test_matches_follow_the_true_flow(far):
     matches = sparse_matches(*(frame.astype(np.float32) for frame in (far.frame0, far.frame1)))
-    assert len(matches.before) > 100
-    column, row = np.rint(matches.before).astype(int).T
-    off = np.linalg.norm(matches.after - matches.before - far.flow[row, column], axis=1)
+    assert len(matches.points0) > 100
+    column, row = np.rint(matches.points0).astype(int).T
+    off = np.linalg.norm(matches.points1 - matches.points0 - far.flow[row, column], axis=1)
     assert np.linalg.norm(far.flow[row, column], axis=1).min() > 15
     assert np.median(off) < 0.5 and (off < 2).mean() > 0.8
 
@@ -121,10 +128,10 @@ def test_matches_follow_the_true_flow(far):
 def test_matches_are_spread_and_the_same_every_time(far):
     frames = [frame.astype(np.float32) for frame in (far.frame0, far.frame1)]
     first, second = sparse_matches(*frames), sparse_matches(*frames)
-    np.testing.assert_array_equal(first.before, second.before)
-    np.testing.assert_array_equal(first.after, second.after)
+    np.testing.assert_array_equal(first.points0, second.points0)
+    np.testing.assert_array_equal(first.points1, second.points1)
     side = (SHAPE[0] * SHAPE[1]) ** 0.5 / SPARSE.cells
-    cells, count = np.unique((first.before // side).astype(int), axis=0, return_counts=True)
+    cells, count = np.unique((first.points0 // side).astype(int), axis=0, return_counts=True)
     assert count.max() <= SPARSE.points_per_cell and len(cells) > 30
 
 
@@ -133,14 +140,14 @@ def test_brightness_of_any_scale_gives_the_same_matches(far, scale, offset):
     frames = [frame.astype(np.float32) for frame in (far.frame0, far.frame1)]
     usual = sparse_matches(*frames)
     other = sparse_matches(*(np.float32(scale) * frame + np.float32(offset) for frame in frames))
-    common = {tuple(pair) for pair in np.hstack([usual.before, usual.after])}
-    again = {tuple(pair) for pair in np.hstack([other.before, other.after])}
+    common = {tuple(pair) for pair in np.hstack([usual.points0, usual.points1])}
+    again = {tuple(pair) for pair in np.hstack([other.points0, other.points1])}
     assert len(common & again) > 0.95 * len(common)  # rounding changes a few grey levels
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 40), (7, 9), (60, 80)])
 def test_frames_without_points_have_no_matches(size):
     flat = np.full(size, 7, np.float32)
-    assert len(sparse_matches(flat, flat).before) == 0
+    assert len(sparse_matches(flat, flat).points0) == 0
     ramp = np.tile(np.linspace(0, 255, size[1], dtype=np.float32), (size[0], 1))
-    assert len(sparse_matches(ramp, ramp).before) == 0
+    assert len(sparse_matches(ramp, ramp).points0) == 0

@@ -142,10 +142,10 @@ def test_points_on_ignored_pixels_are_not_matched():
     usual = sparse_matches(*grey)
     for masks in ((valid, np.ones_like(valid)), (np.ones_like(valid), valid)):
         found = sparse_matches(*grey, masks)
-        places = found.before if masks[0] is valid else found.after
-        assert 20 < len(places) < 0.8 * len(usual.before)
+        places = found.points0 if masks[0] is valid else found.points1
+        assert 20 < len(places) < 0.8 * len(usual.points0)
         assert places[:, 1].max() < 100
-    assert len(sparse_matches(*grey, (valid, ~valid)).before) < 3
+    assert len(sparse_matches(*grey, (valid, ~valid)).points0) < 3
 
 
 def test_planes_of_ignored_pixels_are_not_believed():

@@ -124,10 +124,10 @@ def _refit_on_finer_flow(
     """
     pixels = pyramid.frames0[pyramid.last].size
     initial_pose = start.rotation, start.translation
-    finer = first_motion(pyramid, settings, pose=pose, min_pixels=pixels, initial_pose=initial_pose)
-    matrix = start.matrix if finer.status is not None else finer.matrix
+    refit = first_motion(pyramid, settings, pose=pose, min_pixels=pixels, initial_pose=initial_pose)
+    matrix = start.matrix if refit.status is not None else refit.matrix
     labels = np.zeros(pyramid.shape, np.int32)
-    return scaled_translations(matrix[None], labels, pyramid.cameras[0]), finer.doubt
+    return scaled_translations(matrix[None], labels, pyramid.cameras[0]), refit.doubt
 
 
 def first_motion_estimate(

@@ -191,15 +191,15 @@ def deviation_from_pose(
 
 
 def triangulate(
-    # before, after: (N, 3): rays (x̂, ŷ, 1) in frames 0 and 1
-    before: np.ndarray,
-    after: np.ndarray,
+    # rays0, rays1: (N, 3): rays (x̂, ŷ, 1) in frames 0 and 1
+    rays0: np.ndarray,
+    rays1: np.ndarray,
     # rotation, translation: (3, 3) and (3,)
     rotation: np.ndarray,
     translation: np.ndarray,
 ) -> np.ndarray:  # (N,) float64: signed; 0 where the point lies on the epipole
     """Return the inverse depth, in units of 1/‖t‖, that moves a point nearest to its match."""
-    return triangulate_rays((before @ rotation.T).T, after.T[:2], translation)
+    return triangulate_rays((rays0 @ rotation.T).T, rays1.T[:2], translation)
 
 
 def sample_rays(flow: np.ndarray, confidence: np.ndarray, camera: Camera) -> Rays:
@@ -221,8 +221,8 @@ def sample_rays(flow: np.ndarray, confidence: np.ndarray, camera: Camera) -> Ray
     cx, cy = camera.center_for(height, width)
     positions = np.stack([columns - cx, rows - cy])[:, is_used]
     return Rays(
-        before=np.vstack([positions / camera.focal, np.ones(positions.shape[1])]),
-        after=(positions + displacements[is_used].T) / camera.focal,
+        rays0=np.vstack([positions / camera.focal, np.ones(positions.shape[1])]),
+        rays1=(positions + displacements[is_used].T) / camera.focal,
         trust=trust[is_used],
         focal=camera.focal,
     )
@@ -264,7 +264,7 @@ def _initial_poses(rays: Rays) -> list[Pose]:
 
 def _initial_translations(rays: Rays, rotation: np.ndarray) -> list[Pose]:
     """Return initial poses for a known rotation: translations along axes, and a linear fit."""
-    after = np.vstack([rays.after, np.ones(rays.trust.size)])
-    normals = np.cross(rotation @ rays.before, after, axis=0) * rays.trust
+    rays1 = np.vstack([rays.rays1, np.ones(rays.trust.size)])
+    normals = np.cross(rotation @ rays.rays0, rays1, axis=0) * rays.trust
     axes, _, _ = np.linalg.svd(normals, full_matrices=False)
     return [(rotation, axis) for axis in (*np.eye(3), axes[:, -1])]

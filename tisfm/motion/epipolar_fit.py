@@ -23,8 +23,8 @@ Pose = tuple[np.ndarray, np.ndarray]  # R and t
 class Rays:
     """Corresponding rays of two frames, a coordinate in each row."""
 
-    before: np.ndarray  # (3, N) float64: (x̂, ŷ, 1) in frame 0
-    after: np.ndarray  # (2, N) float64: (x̂, ŷ) in frame 1
+    rays0: np.ndarray  # (3, N) float64: (x̂, ŷ, 1) in frame 0
+    rays1: np.ndarray  # (2, N) float64: (x̂, ŷ) in frame 1
     trust: np.ndarray  # (N,) float64: weight of each ray
     focal: float  # focal length, px
 
@@ -35,16 +35,16 @@ class Rays:
 
     def select(self, mask: np.ndarray) -> "Rays":
         """Return the rays of a mask, (N,) bool."""
-        before, after, trust = (array[..., mask] for array in (self.before, self.after, self.trust))
-        return Rays(before=before, after=after, trust=trust, focal=self.focal)
+        rays0, rays1, trust = (array[..., mask] for array in (self.rays0, self.rays1, self.trust))
+        return Rays(rays0=rays0, rays1=rays1, trust=trust, focal=self.focal)
 
     def subsample(self, stride: int) -> "Rays":
         """Return every `stride`-th ray."""
-        before, after, trust = (
+        rays0, rays1, trust = (
             np.ascontiguousarray(array[..., ::stride])
-            for array in (self.before, self.after, self.trust)
+            for array in (self.rays0, self.rays1, self.trust)
         )
-        return Rays(before=before, after=after, trust=trust, focal=self.focal)
+        return Rays(rays0=rays0, rays1=rays1, trust=trust, focal=self.focal)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,14 +96,14 @@ def fix_scale(
 
 
 def triangulate_rays(
-    rotated_rays: np.ndarray, after: np.ndarray, translation: np.ndarray
+    rotated_rays: np.ndarray, rays1: np.ndarray, translation: np.ndarray
 ) -> np.ndarray:
     """Return the inverse depth, (N,), that moves R x̂, (3, N), nearest to the rays (2, N)."""
     # With p = R x̂ + d t, x̂₁ p₃ = p₁ and ŷ₁ p₃ = p₂ are linear in d.
-    slope_x = translation[0] - after[0] * translation[2]
-    slope_y = translation[1] - after[1] * translation[2]
-    numerator = (after[0] * rotated_rays[2] - rotated_rays[0]) * slope_x
-    numerator += (after[1] * rotated_rays[2] - rotated_rays[1]) * slope_y
+    slope_x = translation[0] - rays1[0] * translation[2]
+    slope_y = translation[1] - rays1[1] * translation[2]
+    numerator = (rays1[0] * rotated_rays[2] - rotated_rays[0]) * slope_x
+    numerator += (rays1[1] * rotated_rays[2] - rotated_rays[1]) * slope_y
     return numerator / np.maximum(slope_x * slope_x + slope_y * slope_y, MIN_SQUARE)
 
 
@@ -123,19 +123,19 @@ def essential_poses(
     As in `tisfm.motion.egomotion.camera_motion`.
     """
     poses: list[Pose] = []
-    before, after = rays.before[:2].T.copy(), rays.after.T.copy()
+    rays0, rays1 = rays.rays0[:2].T.copy(), rays.rays1.T.copy()
     identity, no_distortion = np.eye(3), np.zeros(5)
     for threshold in thresholds:
         parameters = usac_parameters(threshold / rays.focal, draws)
         try:
-            essential, _ = cv2.findEssentialMat(
-                before, after, identity, identity, no_distortion, no_distortion, parameters
+            matrix, _ = cv2.findEssentialMat(
+                rays0, rays1, identity, identity, no_distortion, no_distortion, parameters
             )
         except cv2.error:  # the samples determine no matrix
             continue
-        if essential is None or essential.shape[0] < 3 or not np.isfinite(essential).all():
+        if matrix is None or matrix.shape[0] < 3 or not np.isfinite(matrix).all():
             continue
-        rotation0, rotation1, direction = cv2.decomposeEssentialMat(essential[:3])
+        rotation0, rotation1, direction = cv2.decomposeEssentialMat(matrix[:3])
         rotation = rotation0 if np.trace(rotation0) > np.trace(rotation1) else rotation1
         poses.append((np.asarray(rotation, np.float64), np.asarray(direction[:, 0], np.float64)))
     return poses
@@ -208,8 +208,8 @@ def pose_cost(rays: Rays, pose: Pose, scale: float) -> float:
 
 def nearest_points(rays: Rays, rotation: np.ndarray, translation: np.ndarray) -> EpipolarPoints:
     """Return the points of the epipolar lines of a pose that are nearest to the rays."""
-    rotated_rays = rotation @ rays.before
-    inverse_depth = triangulate_rays(rotated_rays, rays.after, translation)
+    rotated_rays = rotation @ rays.rays0
+    inverse_depth = triangulate_rays(rotated_rays, rays.rays1, translation)
     nearness = 1 / np.maximum(rotated_rays[2] + inverse_depth * translation[2], MIN_DEPTH_RATIO)
     x = (rotated_rays[0] + inverse_depth * translation[0]) * nearness
     y = (rotated_rays[1] + inverse_depth * translation[1]) * nearness
@@ -226,7 +226,7 @@ def nearest_points(rays: Rays, rotation: np.ndarray, translation: np.ndarray) ->
         nearness=nearness,
         normal_x=normal_x,
         normal_y=normal_y,
-        distance=rays.focal * (normal_x * (rays.after[0] - x) + normal_y * (rays.after[1] - y)),
+        distance=rays.focal * (normal_x * (rays.rays1[0] - x) + normal_y * (rays.rays1[1] - y)),
     )
 
 
@@ -254,7 +254,7 @@ def rotation_alone(rays: Rays) -> np.ndarray:
     rotation = np.eye(3)
     for _ in range(10):
         residual = rotation_residual(rays, rotation)
-        x, y = rays.after - residual
+        x, y = rays.rays1 - residual
         distance = length(residual)
         weight = 1 / np.maximum(distance, max(median(distance), MIN_DISPLACEMENT))  # Huber's
         derivative_x = np.stack([-x * y, 1 + x * x, -y])
@@ -273,8 +273,8 @@ def rotation_alone(rays: Rays) -> np.ndarray:
 
 def rotation_residual(rays: Rays, rotation: np.ndarray) -> np.ndarray:
     """Return the displacements that a rotation leaves, (2, N), normalised."""
-    rotated_rays = rotation @ rays.before
-    return rays.after - rotated_rays[:2] / rotated_rays[2]
+    rotated_rays = rotation @ rays.rays0
+    return rays.rays1 - rotated_rays[:2] / rotated_rays[2]
 
 
 def length(vectors: np.ndarray) -> np.ndarray:

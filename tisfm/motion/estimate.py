@@ -34,7 +34,7 @@ class Estimate:
     # neighbours, as in `tisfm.kernels.solve.data_precision`, on the last level
     precision: np.ndarray
     level: int  # level of the pyramid whose frames decide which pixels are occluded
-    normalized: bool  # whether the residual in `precision` is in squared px, not grey levels
+    is_normalized: bool  # whether the residual in `precision` is in squared px, not grey levels
     freedom: int  # {1, 2}: degrees of freedom of a pixel's flow
     history: Records  # list of (level, warp, Iteration)
     status: Status  # ``"converged"`` or ``"iteration_limit"``, or why no estimate was possible
@@ -178,7 +178,7 @@ def make_estimate(
         deviation_factor=deviation_factor,
         precision=solution.precision,
         level=solution.level,
-        normalized=settings.depth_normalization is not None,
+        is_normalized=settings.depth_normalization is not None,
         freedom=1,
         history=solution.history,
         status=iteration_status(
@@ -233,7 +233,7 @@ def make_depthless_estimate(
         inverse_depth_std=np.full_like(zeros, np.inf),
         precision=unknowns.precision(minimiser.system),
         level=level,
-        normalized=settings.normalization is not None,
+        is_normalized=settings.normalization is not None,
         freedom=2,
         history=history,
         status=status,

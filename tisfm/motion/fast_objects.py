@@ -91,8 +91,8 @@ def _object_parts(mask: np.ndarray, flow: np.ndarray) -> Iterator[tuple[Part, np
     object is nearer.
     """
     reach = PROPOSALS.outline_rounds * PROPOSALS.outside_margin + STENCIL_RADIUS
-    dilated = cv2.dilate(mask.astype(np.uint8), _square(reach))
-    count, labels, boxes, _ = cv2.connectedComponentsWithStats(dilated, connectivity=8)
+    dilation = cv2.dilate(mask.astype(np.uint8), _square(reach))
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(dilation, connectivity=8)
     for label in range(1, count):
         left, top, width, height, _ = boxes[label]
         u, v = flow[:, top : top + height, left : left + width]
@@ -105,9 +105,9 @@ def _object_parts(mask: np.ndarray, flow: np.ndarray) -> Iterator[tuple[Part, np
 
 def _range_with_motion(first: int, end: int, motion: np.ndarray, length: int) -> slice:
     """Return the pixels from `first` to `end` along an axis, and the pixels that they move to."""
-    lowest, highest = first + motion.min() - STENCIL_RADIUS, end + motion.max() + STENCIL_RADIUS
+    start, stop = first + motion.min() - STENCIL_RADIUS, end + motion.max() + STENCIL_RADIUS
     first, end = (
-        int(np.clip(position, 0, length)) for position in (min(first, lowest), max(end, highest))
+        int(np.clip(position, 0, length)) for position in (min(first, start), max(end, stop))
     )
     return slice(first, end)
 
@@ -183,9 +183,9 @@ def _relative_motion(forward: np.ndarray, previous: np.ndarray) -> np.ndarray:
     side = 2 * RADIUS + 1
     window = np.ones((side, side), np.uint8)
     flow, is_matched = previous[..., :2], (previous[..., 2] < PROPOSALS.min_poor_cost)[..., None]
-    lowest = np.minimum(cv2.erode(np.where(is_matched, flow, FAR_FLOW), window), flow)
-    highest = np.maximum(cv2.dilate(np.where(is_matched, flow, -FAR_FLOW), window), flow)
-    excess = np.maximum(lowest - forward[..., :2], forward[..., :2] - highest)
+    min_flow = np.minimum(cv2.erode(np.where(is_matched, flow, FAR_FLOW), window), flow)
+    max_flow = np.maximum(cv2.dilate(np.where(is_matched, flow, -FAR_FLOW), window), flow)
+    excess = np.maximum(min_flow - forward[..., :2], forward[..., :2] - max_flow)
     return np.hypot(*cv2.split(np.maximum(excess, 0)))
 
 

@@ -49,7 +49,7 @@ def field_estimate(
         inverse_depth=inverse_depth,
         precision=precision,
         level=pyramid.last,
-        normalized=settings.normalization is not None,
+        is_normalized=settings.normalization is not None,
         freedom=2,
         history=history,
         status=status,

@@ -108,10 +108,12 @@ def first_motion(
         and (mismatch is not None or fit.residual > EGOMOTION.max_flow_residual)
     ):
         flow_pose = (fit.rotation, fit.translation) if mismatch is None else None
-        sparse = sparse_start(pyramid, start.level, flow_pose)
+        match_start = sparse_start(pyramid, start.level, flow_pose)
         # A flow field, if there is one, measures a small parallax better than matches.
-        if sparse is not None and (mismatch is not None or _match_status(sparse.motion) is None):
-            return motion_from_matches(start, sparse)
+        if match_start is not None and (
+            mismatch is not None or _match_status(match_start.motion) is None
+        ):
+            return motion_from_matches(start, match_start)
     if use_matches and mismatch is not None and known_pose.translation is not None:
         length = float(np.linalg.norm(known_pose.translation))
         unit_pose = known_pose.rotation, known_pose.translation / length
@@ -172,10 +174,10 @@ def first_motion(
     return replace(motion, rotation=fit.rotation, translation=fit.translation, doubt=doubt)
 
 
-def motion_from_matches(start: FirstMotion, sparse: SparseStart) -> FirstMotion:
+def motion_from_matches(start: FirstMotion, match_start: SparseStart) -> FirstMotion:
     """Return the first motion of matches, in place of the first motion of the flow field."""
-    motion = sparse.motion
-    status, doubt = sparse.mismatch or _match_status(motion), sparse.doubt
+    motion = match_start.motion
+    status, doubt = match_start.mismatch or _match_status(motion), match_start.doubt
     if status == "uncertain":
         status, doubt = None, doubt or status
     is_rotation = status == "pure_rotation"
@@ -186,8 +188,8 @@ def motion_from_matches(start: FirstMotion, sparse: SparseStart) -> FirstMotion:
         residual=motion.residual,
         status=status,
         doubt=doubt,
-        flow=sparse.flow,
-        trust=sparse.trust,
+        flow=match_start.flow,
+        trust=match_start.trust,
         uses_matches=True,
     )
 

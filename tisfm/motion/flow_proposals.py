@@ -265,8 +265,8 @@ def _target_mask(forward: np.ndarray, is_new: np.ndarray) -> np.ndarray:
 
 def _dilate(mask: np.ndarray, side: int) -> np.ndarray:
     """Return a mask that is dilated by a square of a side, px."""
-    dilated = cv2.dilate(mask.astype(np.uint8), np.ones((side, side), np.uint8))
-    return np.asarray(dilated) > 0
+    dilation = cv2.dilate(mask.astype(np.uint8), np.ones((side, side), np.uint8))
+    return np.asarray(dilation) > 0
 
 
 def _target_pixels(state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -315,29 +315,29 @@ def _fill_flow(
     flow stays inside and does not match, or if its present flow is broken.
     """
     distance = np.where(is_known, 0, np.float32(flow.size)).astype(np.float32)
-    propagated = np.zeros((*windows.shape, 4), np.float32)
-    propagated[..., :2], propagated[..., 3] = flow, 1
+    proposal = np.zeros((*windows.shape, 4), np.float32)
+    proposal[..., :2], proposal[..., 3] = flow, 1
     mean_grey_step = mean_step(windows.grey0, windows.valid0)
     for _ in range(PROPOSALS.fill_passes):
         propagate_flow(
-            windows.grey0, distance, propagated, edge=PROPOSALS.edge_distance * mean_grey_step
+            windows.grey0, distance, proposal, edge=PROPOSALS.edge_distance * mean_grey_step
         )
-    windows.search.score(propagated, min_variance=PROPOSALS.min_window_variance)
-    windows.mark_invalid(propagated)
+    windows.search.score(proposal, min_variance=PROPOSALS.min_window_variance)
+    windows.mark_invalid(proposal)
     cost = np.where(previous[..., 2] < UNTEXTURED, previous[..., 2], 0)
-    is_cheaper = (propagated[..., 2] < cost - PROPOSALS.min_cost_gain) & (
+    is_cheaper = (proposal[..., 2] < cost - PROPOSALS.min_cost_gain) & (
         cost > PROPOSALS.min_filled_cost
     )
     is_cheaper &= comparison.is_better(
-        propagated[..., :2], flow, window=PROPOSALS.residual_window, min_gain=PROPOSALS.fill_gain
+        proposal[..., :2], flow, window=PROPOSALS.residual_window, min_gain=PROPOSALS.fill_gain
     )
     distance_px = cv2.distanceTransform((~is_known).astype(np.uint8), cv2.DIST_L2, 3)
     is_broken = (
-        np.hypot(*cv2.split(flow - propagated[..., :2])) > PROPOSALS.max_flow_slope * distance_px
+        np.hypot(*cv2.split(flow - proposal[..., :2])) > PROPOSALS.max_flow_slope * distance_px
     )
     leaves_image = (
         (is_broken | _target_pixels(previous)[2])
-        & ~_target_pixels(propagated)[2]
+        & ~_target_pixels(proposal)[2]
         & (cost > PROPOSALS.min_poor_cost)
     )
-    return np.where((~is_known & (is_cheaper | leaves_image))[..., None], propagated[..., :2], flow)
+    return np.where((~is_known & (is_cheaper | leaves_image))[..., None], proposal[..., :2], flow)

@@ -17,13 +17,13 @@ TWO_MOTIONS = Status(
 def sample_homographies(rays: Rays) -> list[np.ndarray]:
     """Return homographies of normalised coordinates by random sampling, (3, 3) each."""
     # OpenCV finds no homography of small coordinates, so coordinates are in px.
-    before, after = (rays.focal * points[:2].T for points in (rays.before, rays.after))
+    points0, points1 = (rays.focal * points[:2].T for points in (rays.rays0, rays.rays1))
     to_px = np.diag([rays.focal, rays.focal, 1.0])
     homographies = []
     for threshold in SPARSE.inlier_distances:
         try:
             matrix, _ = cv2.findHomography(
-                before, after, usac_parameters(threshold, SPARSE.max_draws)
+                points0, points1, usac_parameters(threshold, SPARSE.max_draws)
             )
         except cv2.error:  # the samples determine no homography
             continue
@@ -36,14 +36,14 @@ def plane_poses(
     homography: np.ndarray,  # (3, 3): for normalised coordinates
     rays: Rays,
     *,
-    min_share: float = 0.5,  # smallest share of the rays that meet the plane before the camera
+    min_share: float = 0.5,  # smallest share of the rays that meet the plane in front
 ) -> list[Pose]:
     """Return the motions of a homography whose plane lies in front of the camera."""
     _, rotations, translations, normals = cv2.decomposeHomographyMat(homography, np.eye(3))
     poses: list[Pose] = []
     for rotation, translation, normal in zip(rotations, translations, normals, strict=True):
         norm = float(np.linalg.norm(translation))
-        if norm > 0 and np.quantile(normal[:, 0] @ rays.before, 1 - min_share) > 0:
+        if norm > 0 and np.quantile(normal[:, 0] @ rays.rays0, 1 - min_share) > 0:
             poses.append((np.asarray(rotation), np.asarray(translation[:, 0]) / norm))
     return poses
 
@@ -77,19 +77,19 @@ def plane_status(
 
 def _fit_homography(rays: Rays) -> tuple[np.ndarray, float]:
     """Return the homography that fits rays best, (3, 3), and the deviation of the fit, px."""
-    before = rays.before
-    x, y = rays.after
-    zeros = np.zeros_like(before)
+    rays0 = rays.rays0
+    x, y = rays.rays1
+    zeros = np.zeros_like(rays0)
     # two equations for each ray, (9, 2N)
     system = np.hstack(
-        [np.vstack([before, zeros, -x * before]), np.vstack([zeros, before, -y * before])]
+        [np.vstack([rays0, zeros, -x * rays0]), np.vstack([zeros, rays0, -y * rays0])]
     )
     weight = rays.trust
     for _ in range(SPARSE.plane_rounds):
         normal = (system * np.tile(weight, 2)) @ system.T
         homography = np.linalg.eigh(normal)[1][:, 0].reshape(3, 3)
-        homogeneous = homography @ before
-        distance = rays.focal * np.hypot(*(homogeneous[:2] / homogeneous[2] - rays.after))
+        homogeneous = homography @ rays0
+        distance = rays.focal * np.hypot(*(homogeneous[:2] / homogeneous[2] - rays.rays1))
         scale = robust_deviation(distance, rays.trust)
         weight = rays.trust / (1 + (distance / max(scale, SPARSE.min_plane_distance)) ** 2)
     return homography, scale

@@ -39,14 +39,14 @@ def matched_planes(
     frames0, frames1 = (
         [frames[level] for level in levels] for frames in (pyramid.frames0, pyramid.frames1)
     )
-    lowest, gain = grey_scale(frames0[-1], frames1[-1])
+    min_grey, gain = grey_scale(frames0[-1], frames1[-1])
     valid = pyramid.valid_on(finest)
     noise = gain * max(
         noise_deviation(frames[-1], valid=None if valid is None else valid[k])
         for k, frames in enumerate((frames0, frames1))
     )
     frames0, frames1 = (
-        [np.clip(gain * (frame - lowest), 0, MAX_GREY) for frame in frames]
+        [np.clip(gain * (frame - min_grey), 0, MAX_GREY) for frame in frames]
         for frames in (frames0, frames1)
     )
     scales = [pyramid.scales[level] / pyramid.scales[finest] for level in levels]
@@ -131,8 +131,8 @@ def _search_levels(pyramid: ImagePyramid) -> list[int]:
     finest = min(candidates, default=pyramid.levels - 1)
     step = max(1, round(np.log(0.5) / np.log(pyramid.factor)))
     levels = range(finest, pyramid.levels, step)
-    selected = [k for k in levels if pyramid.frames0[k].size >= DEPTH.min_plane_pixels] or [finest]
-    return selected[::-1]
+    result = [k for k in levels if pyramid.frames0[k].size >= DEPTH.min_plane_pixels] or [finest]
+    return result[::-1]
 
 
 def _random_planes(

@@ -95,16 +95,16 @@ def rigid_depth(
     history: Records = []
     coarse: Unknowns | None = None
     residuals = np.zeros(len(motions))
-    coarsest, depth = (pyramid.levels - 1, None) if start is None else start
+    coarsest_level, depth = (pyramid.levels - 1, None) if start is None else start
     linearisations = [
         settings.warps * DEPTH.warps_factor if warps is None else warps
-    ] + coarsest * [settings.coarse_warps if start is None else settings.warps]
-    last = min(last, coarsest)
-    for level in reversed(range(last, coarsest + 1)):
+    ] + coarsest_level * [settings.coarse_warps if start is None else settings.warps]
+    last = min(last, coarsest_level)
+    for level in reversed(range(last, coarsest_level + 1)):
         state = RigidLevel(
             pyramid, level, settings, labels, coarse, support=support, count=len(motions)
         )
-        if level == coarsest and depth is not None:
+        if level == coarsest_level and depth is not None:
             state.unknowns.set_images(depth[None])
         for warp in range(linearisations[level - last]):
             state.linearise(motions)

@@ -121,5 +121,5 @@ def _depth_of_frame1(inverse_depth: np.ndarray, twist: np.ndarray, camera: Camer
 def _sample(image: np.ndarray, positions: np.ndarray) -> np.ndarray:
     """Return an image, (H, W) float32, at positions, (h, w, 2) px; its border pixels repeat."""
     x, y = np.moveaxis(positions.astype(np.float32), -1, 0)
-    sampled = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(sampled, np.float64)
+    samples = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(samples, np.float64)

@@ -185,7 +185,7 @@ class SparseSettings:
     # matches alone miss the least cost from a poor start; far ones lead away from a good start.
     round_distances: tuple[tuple[float, ...], ...] = ((16.0, 6.0, 3.0), (3.0, 3.0))
     min_step: float = 1e-5  # rad, and share of ‖t‖: a shorter step ends the last round
-    min_early_step: float = 1e-3  # `min_step` in the rounds before
+    min_early_step: float = 1e-3  # `min_step` in all earlier rounds
     max_duplicate_difference: float = 1e-3  # difference of an entry of R or t between equal motions
     max_inlier_distance: float = 3.0  # px: distance of an inlier from its epipolar line
     iterations: int = 30  # iterations of a round
@@ -327,7 +327,7 @@ class CheckSettings:
     max_folded_share: float = 0.12
     min_judged_pixels: int = 2**12  # pixels of the level on which a flow is evaluated
     # share of the textured windows in which two frames at rest differ. Noise, and an object that
-    # moves before a camera at rest, give 0.00; a picture whose middle is replaced gives 0.21 for
+    # moves in front of a camera at rest, give 0; a picture whose middle is replaced gives 0.21 for
     # 37 % of the area and 0.48 for 52 %.
     max_replaced_share: float = 0.15
     # share of the squares with differences that one displacement matches in the other frame. An

@@ -14,9 +14,9 @@ from tisfm.threads import start_in_second_thread
 class Matches:
     """Points of frame 0 and their matches in frame 1, px from the upper left pixel's centre."""
 
-    # before, after: (N, 2) float64, (x, y)
-    before: np.ndarray
-    after: np.ndarray
+    # points0, points1: (N, 2) float64, (x, y)
+    points0: np.ndarray
+    points1: np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +48,7 @@ def sparse_matches(
     should know to improve object retrieval", CVPR 2012, doi 10.1109/CVPR.2012.6248018.
     """
     low, high = np.percentile(frame0, SPARSE.grey_percentiles)
-    no_matches = Matches(before=np.empty((0, 2)), after=np.empty((0, 2)))
+    no_matches = Matches(points0=np.empty((0, 2)), points1=np.empty((0, 2)))
     if not high > low:
         return no_matches
     images = [np.clip((frame - low) * (255 / (high - low)), 0, 255) for frame in (frame0, frame1)]
@@ -62,7 +62,7 @@ def sparse_matches(
     index0, index1 = match_features(first, second)
     pairs = np.hstack([first.points[index0], second.points[index1]])
     pairs = np.unique(pairs, axis=0)  # a point with several orientations has several descriptors
-    return Matches(before=pairs[:, :2], after=pairs[:, 2:])
+    return Matches(points0=pairs[:, :2], points1=pairs[:, 2:])
 
 
 def match_features(first: Features, second: Features) -> tuple[np.ndarray, np.ndarray]:

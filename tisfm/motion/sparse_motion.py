@@ -77,7 +77,7 @@ def sparse_motions(
     "Deeper understanding of the homography decomposition for vision-based control", INRIA report
     6303, 2007.
     """
-    if len(matches.before) < SPARSE.min_matches:
+    if len(matches.points0) < SPARSE.min_matches:
         return [], None
     rays = _rays(matches, camera, shape)
     homographies = sample_homographies(rays)
@@ -117,7 +117,7 @@ def known_pose_motion(
     pose: Pose,  # (rotation, translation): ‖t‖ = 1
 ) -> SparseMotion | None:
     """Return a known motion with its inliers, or None if too few matches agree with it."""
-    if len(matches.before) < SPARSE.min_matches:
+    if len(matches.points0) < SPARSE.min_matches:
         return None
     rays = _rays(matches, camera, shape)
     inliers = rays.select(_is_inlier(rays, pose, SPARSE.max_inlier_distance))
@@ -154,13 +154,13 @@ class MatchCost:
 
 def _rays(matches: Matches, camera: Camera, shape: tuple[int, int]) -> Rays:
     center = camera.center_for(*shape)
-    before, after = (
-        (points - center).T / camera.focal for points in (matches.before, matches.after)
+    rays0, rays1 = (
+        (points - center).T / camera.focal for points in (matches.points0, matches.points1)
     )
-    count = before.shape[1]
+    count = rays0.shape[1]
     return Rays(
-        before=np.vstack([before, np.ones(count)]),
-        after=after,
+        rays0=np.vstack([rays0, np.ones(count)]),
+        rays1=rays1,
         trust=np.ones(count),
         focal=camera.focal,
     )
@@ -206,7 +206,7 @@ def _without_duplicates(motions: list[_AnyMotion]) -> list[_AnyMotion]:
 
 
 def _is_inlier(rays: Rays, pose: Pose, max_distance: float) -> np.ndarray:
-    """Return which matches lie near their epipolar line, before the camera, (N,) bool."""
+    """Return which matches lie near their epipolar line and in front of the camera, (N,)."""
     points = nearest_points(rays, *pose)
     return (np.abs(points.distance) <= max_distance) & (points.inverse_depth > 0)
 
@@ -236,7 +236,7 @@ def _coverage(rays: Rays, camera: Camera, shape: tuple[int, int]) -> float:
     """Return the share of the image's cells that contain a match."""
     height, width = shape
     center = np.array(camera.center_for(height, width))[:, None]
-    points = rays.before[:2] * camera.focal + center + 0.5
+    points = rays.rays0[:2] * camera.focal + center + 0.5
     column, row = (points * SPARSE.coverage_cells / np.array([[width], [height]])).astype(np.int64)
     return len(np.unique(row * SPARSE.coverage_cells + column)) / SPARSE.coverage_cells**2
 

@@ -49,9 +49,9 @@ def sparse_start(
     flow_pose: Pose | None,
 ) -> SparseStart | None:
     """Return the motion of matches that fits the images best; None if none beats `flow_pose`."""
-    finest, matches = _matches(pyramid)
+    match_level, matches = _matches(pyramid)
     motions, match_cost = sparse_motions(
-        matches, pyramid.cameras[finest], pyramid.frames0[finest].shape
+        matches, pyramid.cameras[match_level], pyramid.frames0[match_level].shape
     )
     if match_cost is None:
         return None
@@ -76,7 +76,7 @@ def sparse_start(
         )
     if len(best_candidates) > 1 and (flow_pose is None or winner.motion.model == "plane"):
         doubt = TWO_MOTIONS
-    return winner.start(1 / pyramid.scales[finest], doubt)
+    return winner.start(1 / pyramid.scales[match_level], doubt)
 
 
 def known_pose_start(
@@ -89,9 +89,9 @@ def known_pose_start(
     The start is None if too few matches agree with the motion. The status is set only if another
     motion fits the matches far better.
     """
-    finest, matches = _matches(pyramid)
-    camera, shape = pyramid.cameras[finest], pyramid.frames0[finest].shape
-    px_factor = 1 / pyramid.scales[finest]
+    match_level, matches = _matches(pyramid)
+    camera, shape = pyramid.cameras[match_level], pyramid.frames0[match_level].shape
+    px_factor = 1 / pyramid.scales[match_level]
     motions, _ = sparse_motions(matches, camera, shape)
     doubt = None
     if motions and _SweptMotion(pyramid, level, motions[0]).mismatch is None:
@@ -110,12 +110,12 @@ def known_pose_start(
 
 def _matches(pyramid: ImagePyramid) -> tuple[int, Matches]:
     """Return the finest level of at most `max_pixels` pixels, and matches of its frames."""
-    finest = next(
+    match_level = next(
         (k for k, frame in enumerate(pyramid.frames0) if frame.size <= SPARSE.max_pixels),
         pyramid.levels - 1,
     )
-    frames = pyramid.frames0[finest], pyramid.frames1[finest]
-    return finest, sparse_matches(*frames, pyramid.valid_on(finest))
+    frames = pyramid.frames0[match_level], pyramid.frames1[match_level]
+    return match_level, sparse_matches(*frames, pyramid.valid_on(match_level))
 
 
 class _SweptMotion:

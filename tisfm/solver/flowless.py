@@ -89,13 +89,13 @@ class FlowlessFields:
 
         Each difference is the product of a function of the row and a function of the column.
         """
-        x, y, pitch = self._x, self._y, 1 / self._unknowns.camera.focal
-        one_x, one_y = np.full(x.shape, pitch), np.ones(y.shape)
+        x, y, pitch = self._x, self._y, 1 / self._unknowns.camera.focal  # pitch: step of x̂ and ŷ
+        pitch_x, one_y = np.full(x.shape, pitch), np.ones(y.shape)
         zero_x, zero_y = np.zeros(x.shape), np.zeros(y.shape)
-        east1 = (one_y, one_x), (y, one_x), (one_y, -(2 * x + pitch) * pitch), (zero_y, zero_x)
-        south1 = (zero_y, zero_x), (one_y, x * pitch), (zero_y, zero_x), (one_y, one_x)
-        east2 = (zero_y, zero_x), (zero_y, zero_x), (y, -one_x), (one_y, -one_x)
-        south2 = (one_y, one_x), (2 * y + pitch, one_x), (one_y, -x * pitch), (zero_y, zero_x)
+        east1 = (one_y, pitch_x), (y, pitch_x), (one_y, -(2 * x + pitch) * pitch), (zero_y, zero_x)
+        south1 = (zero_y, zero_x), (one_y, x * pitch), (zero_y, zero_x), (one_y, pitch_x)
+        east2 = (zero_y, zero_x), (zero_y, zero_x), (y, -pitch_x), (one_y, -pitch_x)
+        south2 = (one_y, pitch_x), (2 * y + pitch, pitch_x), (one_y, -x * pitch), (zero_y, zero_x)
         return (
             ([(r, c[:-1]) for r, c in east1], [(r[:-1], c) for r, c in south1]),
             ([(r, c[:-1]) for r, c in east2], [(r[:-1], c) for r, c in south2]),

@@ -206,9 +206,9 @@ def remaining_error(changes: Sequence[float]) -> float:
         return 0.0 if changes else math.inf
     if len(changes) == 1:
         return math.inf
-    latest = changes[-3:]
+    tail = changes[-3:]
     ratios = [
-        change / previous if previous > 0 else math.inf for previous, change in pairwise(latest)
+        change / previous if previous > 0 else math.inf for previous, change in pairwise(tail)
     ]
     contraction = max(*ratios, MIN_CONTRACTION)
     return changes[-1] * contraction / (1 - contraction) if contraction < 1 else math.inf

@@ -145,9 +145,9 @@ def gaussian_pyramid(
     sigma = 0.6 * math.sqrt(1 / factor**2 - 1)
     pyramid = [image]
     for _ in range(levels - 1):
-        smoothed = smooth(pyramid[-1], sigma)
+        smooth_image = smooth(pyramid[-1], sigma)
         pyramid.append(
-            cv2.resize(smoothed, None, fx=factor, fy=factor, interpolation=cv2.INTER_LINEAR)
+            cv2.resize(smooth_image, None, fx=factor, fy=factor, interpolation=cv2.INTER_LINEAR)
         )
     return pyramid
 

@@ -70,9 +70,9 @@ def fill_ignored(
     if ignored.all():
         return np.zeros_like(image)
     weight = (~ignored).astype(np.float32)
-    used = image[~ignored]
+    used_values = image[~ignored]
     # Without the clipping, rounding would give a uniform image a texture.
-    return _fill(image, weight).clip(used.min(), used.max())
+    return _fill(image, weight).clip(used_values.min(), used_values.max())
 
 
 def _fill(image: np.ndarray, weight: np.ndarray) -> np.ndarray:

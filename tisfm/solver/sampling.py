@@ -64,8 +64,8 @@ def _taps_of(coefficients: np.ndarray) -> np.ndarray:
     height, width = coefficients.shape
     coefficients = cv2.copyMakeBorder(coefficients, 1, 2, 1, 2, borderType=cv2.BORDER_REFLECT_101)
     taps = aligned_empty(((height + 3) * width, 4))
-    shifted = [coefficients[:, k : k + width] for k in range(4)]
-    cv2.merge(shifted, taps.reshape(height + 3, width, 4))
+    shifted_images = [coefficients[:, k : k + width] for k in range(4)]
+    cv2.merge(shifted_images, taps.reshape(height + 3, width, 4))
     return taps
 
 
@@ -116,8 +116,8 @@ def enlarge(images: np.ndarray, factor: int, height: int, width: int) -> np.ndar
         if fine.shape == size[::-1]:
             cv2.resize(coarse, size, dst=fine, interpolation=cv2.INTER_LINEAR)
         else:
-            resized = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
-            fine[...] = _crop_or_extend(resized, height, width)
+            fine_image = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
+            fine[...] = _crop_or_extend(fine_image, height, width)
     return out
 
 

@@ -100,8 +100,8 @@ class Interpolation:
     ) -> None:
         # Strips of the coarse grid have an even width; half of a fine strip may be odd.
         halved_array = coarse if has_halved_layout(grid) else allocate_halved(grid, COMPONENTS)
-        _, outer = offset_columns(grid)
-        tables = (*interpolation_columns(grid), outer)
+        _, outer_offsets = offset_columns(grid)
+        tables = (*interpolation_columns(grid), outer_offsets)
         parent_weight, neighbour_weight, outer_offset = (grid.place(table) for table in tables)
         add = add_correction.bind(
             grid,

@@ -55,10 +55,10 @@ def sharpen_labels(
     )
     for _ in range(OBJECTS.boundary_rounds):
         sums = _sums_at_targets(labels, flows, own_cost, hidden)
-        unary = _costs_with_occlusion(costs, hidden[is_free], sums, corners)
-        unary[is_forbidden] = FORBIDDEN_COST
+        unary_costs = _costs_with_occlusion(costs, hidden[is_free], sums, corners)
+        unary_costs[is_forbidden] = FORBIDDEN_COST
         labels = labels.copy()
-        labels[is_free] = boundaries.assign(unary, labels)
+        labels[is_free] = boundaries.assign(unary_costs, labels)
         own_cost[is_free] = np.take_along_axis(costs, labels[is_free][None], axis=0)[0]
     return labels
 
@@ -150,9 +150,9 @@ def _costs_with_occlusion(
     `costs`, (K, N), are the costs of visible labels, `hidden`, (N,), the costs of occluded pixels,
     `sums` the sums of `_sums_at_targets`, and `corners` the targets of the pixels under each label.
     """
-    unary = costs.copy()
+    unary_costs = costs.copy()
     counts, costs_at_targets, hidden_gains = sums
-    hidden_share = np.zeros_like(unary)
+    hidden_share = np.zeros_like(unary_costs)
     for front, back in permutations(range(len(costs)), 2):
         is_in_front = _find_order(counts[[front, back]], costs_at_targets[[front, back]])
         if is_in_front.any():
@@ -161,9 +161,10 @@ def _costs_with_occlusion(
                 hidden_share[back], _interpolate(cover, corners[back]), out=hidden_share[back]
             )
             # The front label would occlude visible pixels of the back label.
-            unary[front] += _interpolate(is_in_front * hidden_gains[back], corners[front])
+            unary_costs[front] += _interpolate(is_in_front * hidden_gains[back], corners[front])
     return -np.log(
-        (1 - hidden_share) * np.exp(-np.minimum(unary, MAX_COST)) + hidden_share * np.exp(-hidden)
+        (1 - hidden_share) * np.exp(-np.minimum(unary_costs, MAX_COST))
+        + hidden_share * np.exp(-hidden)
     )
 
 

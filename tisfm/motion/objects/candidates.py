@@ -1,9 +1,9 @@
 """Candidates for moving objects: motions in a flow field, and floating parts of a depth map.
 
 An object that moves along the epipolar lines of points at rest looks like a point at rest with a
-wrong depth. If it looks nearer, the whole object, with its feet, floats before its surroundings.
-An object at rest on the ground is different: it has the depth of the ground at its base, and from
-there the ground comes nearer, down to the border of the image.
+wrong depth. If it looks nearer, the whole object, with its feet, floats in front of its
+surroundings. An object at rest on the ground is different: it has the depth of the ground at its
+base, and from there the ground comes nearer, down to the border of the image.
 """
 
 import cv2
@@ -80,7 +80,7 @@ class _CandidateSearch:
         motions = [self._background]
         is_tried = np.zeros(self._trust.shape, bool)
         for _ in range(3 * max_motions):
-            labels = self._assign_labels(motions, unexplained=True)
+            labels = self._assign_labels(motions, has_unexplained_label=True)
             part = _largest_part((labels == len(motions)) & ~is_tried)
             if len(motions) == max_motions or part.sum() < self.min_size:
                 break
@@ -154,9 +154,11 @@ class _CandidateSearch:
             return None
         return np.column_stack([motion.rotation, motion.translation])
 
-    def _assign_labels(self, motions: list[np.ndarray], *, unexplained: bool = False) -> np.ndarray:
+    def _assign_labels(
+        self, motions: list[np.ndarray], *, has_unexplained_label: bool = False
+    ) -> np.ndarray:
         costs = [(self._distance(motion) / self._max_error) ** 2 for motion in motions]
-        if unexplained:
+        if has_unexplained_label:
             costs.append(np.full(self._trust.shape, OBJECTS.unexplained_errors**2))
         limited_costs = np.minimum(np.stack(costs), 4 * OBJECTS.unexplained_errors**2)
         return self._potts.assign(limited_costs.astype(np.float32), self._weight)
@@ -169,15 +171,15 @@ class _CandidateSearch:
         rows, columns = np.mgrid[:height, :width]
         positions = np.stack([columns - cx, rows - cy], axis=-1).reshape(-1, 2)
         ones = np.ones((len(positions), 1))
-        before = np.hstack([positions / focal, ones])
-        after = np.hstack([(positions + self._flow.reshape(-1, 2)) / focal, ones])
+        rays0 = np.hstack([positions / focal, ones])
+        rays1 = np.hstack([(positions + self._flow.reshape(-1, 2)) / focal, ones])
         rotation, translation = motion[:, :3], motion[:, 3]
-        points = before @ rotation.T
+        points = rays0 @ rotation.T
         if translation.any():
-            inverse_depth = np.maximum(triangulate(before, after, rotation, translation), 0)
+            inverse_depth = np.maximum(triangulate(rays0, rays1, rotation, translation), 0)
             points += inverse_depth[:, None] * translation
-        projected = points[:, :2] / np.maximum(points[:, 2:], MIN_DEPTH_RATIO)
-        distance = focal * np.linalg.norm(after[:, :2] - projected, axis=1)
+        projections = points[:, :2] / np.maximum(points[:, 2:], MIN_DEPTH_RATIO)
+        distance = focal * np.linalg.norm(rays1[:, :2] - projections, axis=1)
         return distance.reshape(height, width)
 
 
@@ -207,7 +209,7 @@ MAX_PARTS = 255  # floating parts, numbered in uint8
 
 
 def floating_parts(
-    inverse_depth: np.ndarray,  # (H, W) float32: in any unit; positive before the camera
+    inverse_depth: np.ndarray,  # (H, W) float32: in any unit; positive in front of the camera
     deviation: np.ndarray,  # (H, W) float32: standard deviation of `inverse_depth`
     min_size: int,  # fewest pixels of a part
 ) -> np.ndarray:  # (H, W) int32: parts in order of size, the largest first
@@ -274,7 +276,7 @@ def without_domes(
     for border in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]):
         result[border] = image[border]
     while True:
-        expanded = np.minimum(cv2.dilate(result, window), image)
-        if np.array_equal(expanded, result):
+        dilation = np.minimum(cv2.dilate(result, window), image)
+        if np.array_equal(dilation, result):
             return result
-        result = expanded
+        result = dilation

@@ -108,13 +108,13 @@ def _restore_layers(
         rows, columns = np.nonzero(is_label)
         positions = np.stack([columns - cx, rows - cy], axis=-1)
         ones = np.ones((len(positions), 1))
-        before, after = (
+        rays0, rays1 = (
             np.hstack([points / camera.focal, ones])
             for points in (positions, positions + expected_flow[:, is_label].T)
         )
         rotation, translation = restored_motions[label, :, :3], restored_motions[label, :, 3]
         if translation.any():
-            depth[is_label] = camera.focal * triangulate(before, after, rotation, translation)
+            depth[is_label] = camera.focal * triangulate(rays0, rays1, rotation, translation)
     return replace(solution, motions=restored_motions, inverse_depth=depth)
 
 
@@ -160,40 +160,40 @@ def carry_background_depth(
     )
     motions = solution.motions.copy()
     motions[0] = scaled_translations(motion[None], labels, pyramid.cameras[0])[0]
-    carried = textureless_depth(pyramid, settings, motions[0], support=interior)
-    if carried is None:
+    new_solution = textureless_depth(pyramid, settings, motions[0], support=interior)
+    if new_solution is None:
         return None
     size = solution.precision.shape[:0:-1]
     is_coarse_background = (
         cv2.resize(is_background.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
     )
-    solutions: list[RigidSolution] = [solution, carried]
+    solutions: list[RigidSolution] = [solution, new_solution]
     if labels.any() and not solution.converged:
         solutions.reverse()  # the last one gives the status of the iterations
     other_solution, status_solution = solutions
     return TexturelessSolution(
         motions=motions,
-        inverse_depth=np.where(is_background, carried.inverse_depth, solution.inverse_depth),
+        inverse_depth=np.where(is_background, new_solution.inverse_depth, solution.inverse_depth),
         precision=np.where(
-            is_coarse_background, _resize_precision(carried, solution), solution.precision
+            is_coarse_background, _resize_precision(new_solution, solution), solution.precision
         ),
         level=solution.level,
         density=solution.density,
         history=other_solution.history + status_solution.history,
         converged=status_solution.converged,
         is_limit_adjustable=status_solution.is_limit_adjustable,
-        carried_deviation=np.where(is_background, carried.deviation(), solution.deviation()),
+        carried_deviation=np.where(is_background, new_solution.deviation(), solution.deviation()),
     )
 
 
-def _resize_precision(carried: TexturelessSolution, target: RigidSolution) -> np.ndarray:
-    """Return the precision of `carried` on the level of `target`, (7, h, w) float32."""
-    if carried.level == target.level:
-        return carried.precision
+def _resize_precision(solution: TexturelessSolution, target: RigidSolution) -> np.ndarray:
+    """Return the precision of a solution on the level of `target`, (7, h, w) float32."""
+    if solution.level == target.level:
+        return solution.precision
     size = target.precision.shape[:0:-1]
-    ratio = np.float32((carried.density / target.density) ** 2)  # ratio of px² of both levels
+    ratio = np.float32((solution.density / target.density) ** 2)  # ratio of px² of both levels
     units = (ratio, ratio, ratio, 1 / ratio, 1 / ratio, 1 / ratio, 1 / ratio)
-    channels = zip(carried.precision, units, strict=True)
+    channels = zip(solution.precision, units, strict=True)
     return np.stack([cv2.resize(channel, size) * unit for channel, unit in channels])
 
 

@@ -94,8 +94,10 @@ def objects_estimate(
         estimate_solution,
     )
     if hidden_label != 0:
-        carried = carry_background_depth(pyramid, settings, solution, labels, motions[order[0]])
-        estimate = estimate if carried is None else estimate_solution(carried)
+        carried_solution = carry_background_depth(
+            pyramid, settings, solution, labels, motions[order[0]]
+        )
+        estimate = estimate if carried_solution is None else estimate_solution(carried_solution)
     history = start.history + estimate.history
     estimate = replace(estimate, history=history, uses_matches=start.uses_matches)
     if len(order) == 1 and start.doubt is not None:
@@ -203,10 +205,10 @@ def wide_baseline_motion(
     pixels outside frame 1 is not trusted. If this flow field fails as well, the result is the
     motion of the matches and its flow.
     """
-    sparse = sparse_start(pyramid, start.level, None)
-    if sparse is None:
+    match_start = sparse_start(pyramid, start.level, None)
+    if match_start is None:
         return start
-    matched_motion = motion_from_matches(start, sparse)
+    matched_motion = motion_from_matches(start, match_start)
     if matched_motion.status == "unrelated":
         return matched_motion
     camera = pyramid.cameras[0]

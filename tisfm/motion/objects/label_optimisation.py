@@ -130,15 +130,15 @@ class MinSum:
         pixel_number = np.full(np.add(is_free.shape, 2), count)
         pixel_number[1:-1, 1:-1][is_free] = np.arange(count)
         is_inside = np.pad(np.ones(is_free.shape, bool), 1)
-        padded = np.pad(frame, 1)
-        grey = padded[rows + 1, columns + 1]
+        image = np.pad(frame, 1)
+        grey = image[rows + 1, columns + 1]
         self._neighbours, self._costs, self._fixed_neighbours = [], [], []
         for row_step, column_step in NEIGHBOURS:
             neighbour = rows + 1 + row_step, columns + 1 + column_step
             distance = np.hypot(row_step, column_step)
             # With this factor, axis-aligned and diagonal boundaries cost their length.
             cost = (2 - 2**0.5) * length / distance * is_inside[neighbour]
-            cost /= 1 + image_edges / (mean_grey_step * distance) * np.abs(padded[neighbour] - grey)
+            cost /= 1 + image_edges / (mean_grey_step * distance) * np.abs(image[neighbour] - grey)
             self._neighbours.append(pixel_number[neighbour])
             self._costs.append(cost.astype(np.float32))
             fixed_index = np.flatnonzero((pixel_number[neighbour] == count) & is_inside[neighbour])

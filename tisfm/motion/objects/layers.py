@@ -99,7 +99,7 @@ class Layering:
         for _ in range(rounds if len(motions) > 1 else 1):
             residuals, flows = [], []
             for label, motion in reversed(list(enumerate(motions))):
-                surface = self._fit_surface(motion, _core(labels == label) & ~hidden)
+                surface = self._fit_surface(motion, _erode(labels == label) & ~hidden)
                 residuals.append(surface.residual)
                 flows.append(surface.flow)
             background_surface = surface
@@ -137,7 +137,7 @@ class Layering:
         )
 
     def add_floating_parts(self, layers: Layers, *, max_layers: int) -> Layers:
-        """Return the layers plus one for each part that floats before the background.
+        """Return the layers plus one for each part that floats in front of the background.
 
         There are `max_layers` layers at most. A floating part moves along the background's epipolar
         lines, so its layer starts with the background's motion and a surface of its own. That
@@ -233,13 +233,13 @@ class Layering:
         is_background = layers.labels == 0
         zeros = np.zeros(is_background.shape, np.int32)
         motion = scaled_translations(layers.motions[0][None], zeros, pyramid.cameras[0])[0]
-        carried = None
+        carried_solution = None
         if motion[:, 3].any():
-            support = _core(is_background) & ~layers.hidden
-            carried = textureless_depth(pyramid, self._settings, motion, support=support)
-        if carried is None:
+            support = _erode(is_background) & ~layers.hidden
+            carried_solution = textureless_depth(pyramid, self._settings, motion, support=support)
+        if carried_solution is None:
             return np.full(is_background.shape, np.inf, np.float32)
-        residual, flow = self._residual(carried)
+        residual, flow = self._residual(carried_solution)
         cost = cv2.blur(residual, (OBJECTS.layer_window, OBJECTS.layer_window)) / np.float32(
             layers.unit
         )
@@ -260,7 +260,7 @@ class Layering:
             if not motion[:, 3].any():
                 motions.append(motion)
                 continue
-            is_core = _core((layers.labels == label) & (layers.floating == 0)) & ~layers.hidden
+            is_core = _erode((layers.labels == label) & (layers.floating == 0)) & ~layers.hidden
             try:
                 likely_rotation = layers.motions[0][:, :3] if label else None
                 camera = self._pyramid.cameras[0]
@@ -346,7 +346,7 @@ def fill_nearest(values: np.ndarray, is_known: np.ndarray) -> np.ndarray:
     return values_by_pixel[nearest]
 
 
-def _core(mask: np.ndarray) -> np.ndarray:
+def _erode(mask: np.ndarray) -> np.ndarray:
     """Return a mask without its rim, or the whole mask if fewer than 64 pixels would remain."""
     interior = (
         cv2.erode(
