@@ -151,13 +151,13 @@ def streamed(readout):
     """
     files = []
 
-    def watch(stream, real=Stream._drop_old):
+    def watch(stream, real=Stream._drop_unneeded):
         real(stream)
         names = [path.name for path in stream._folder.rglob("*.*")]
         files.append((stream._path.last_fixed, stream._frames.provisional_frames(), names))
 
     with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
-        patch.setattr(Stream, "_drop_old", watch)
+        patch.setattr(Stream, "_drop_unneeded", watch)
         warnings.simplefilter("error")
         stream = tisfm.reconstruct_stream(
             film().frames, camera=camera_with(readout), settings=FAST, delay=DELAY

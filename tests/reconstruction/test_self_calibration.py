@@ -257,14 +257,14 @@ def test_no_path_if_few_pairs_show_parallax_with_the_focal_length_found(monkeypa
 def models_where_the_focal_is_hardly_seen(monkeypatch, again, *, shows_parallax):
     """Return models and focal length; `again` are the models grown again with this focal length."""
     shared = SimpleNamespace(
-        models=lambda *_: ["before"],
+        make_models=lambda *_: ["before"],
         score=lambda _: 0.5,
         match_count=lambda: 200,
         shows_parallax=lambda _: shows_parallax,
     )
     hardly = FocalEstimate(focal=100.0, deviation=10.0)
     for name, answer in (
-        ("ViewGraph", SimpleNamespace(of=lambda *_, **__: shared)),
+        ("ViewGraph", SimpleNamespace(from_views=lambda *_, **__: shared)),
         ("_find_start_focal", lambda *_: 100.0),
         ("_grow_models", lambda *_: ["before"]),
         ("_adjust", lambda *_: None),

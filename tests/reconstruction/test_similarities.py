@@ -38,7 +38,7 @@ def path(count=12):
     return np.array(turns)
 
 
-def edge(first, second, similarity, certain=True):
+def edge(first, second, similarity, is_certain=True):
     points = cloud()
     return Edge(
         first=first,
@@ -48,7 +48,7 @@ def edge(first, second, similarity, certain=True):
         distances=np.linalg.norm(points, axis=1),
         deviation=0.01,
         weight=60.0,
-        certain=certain,
+        is_certain=is_certain,
     )
 
 
@@ -201,7 +201,7 @@ def test_chain_follows_its_edges():
 def test_closed_loop_spreads_the_drift():
     edges, _, move = chain(24, drift=0.005)
     (apart,) = optimise_sim3_graph(24, edges)
-    (closed,) = optimise_sim3_graph(24, [*edges, edge(23, 0, move, certain=False)])
+    (closed,) = optimise_sim3_graph(24, [*edges, edge(23, 0, move, is_certain=False)])
     gap = [np.abs(place[23] @ move - np.eye(4)).max() for place in (apart, closed)]
     assert gap[1] < 0.1 * gap[0]
     growth = [np.log(sim3_scale(place[23])) for place in (apart, closed)]
@@ -211,9 +211,9 @@ def test_closed_loop_spreads_the_drift():
 def test_false_loop_closure_is_rejected():
     edges, true, move = chain(drift=0.0)
     false = edge(
-        0, 4, sim3_from_vector(0.7, np.array([1.0, 0, 0]), np.array([3.0, 0, 1])), certain=False
+        0, 4, sim3_from_vector(0.7, np.array([1.0, 0, 0]), np.array([3.0, 0, 1])), is_certain=False
     )
-    (place,) = optimise_sim3_graph(6, [*edges, edge(5, 0, move, certain=False), false])
+    (place,) = optimise_sim3_graph(6, [*edges, edge(5, 0, move, is_certain=False), false])
     for node, similarity in place.items():
         np.testing.assert_allclose(similarity, true[node], atol=0.02)
 

@@ -329,7 +329,7 @@ def test_options_of_the_source_are_used():
 
 def test_preset_alone_means_the_motion_of_the_camera(monkeypatch):
     taken = []
-    monkeypatch.setattr(streaming, "_streamed", lambda *given: taken.append(given[3]))
+    monkeypatch.setattr(streaming, "_stream_frames", lambda *given: taken.append(given[3]))
     tisfm.reconstruct_stream(swing().frames, settings=Settings.preset("fast"))
     assert taken == [Settings.preset("fast", motion="camera")]
 

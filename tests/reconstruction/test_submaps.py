@@ -79,7 +79,7 @@ def test_round_trip_closes_across_submaps():
     found = np.array([piece.poses[k] for k in range(24)])
     true = np.concatenate([film.poses, film.poses[::-1]])
     length = np.linalg.norm(np.diff(found[:, :3, 3], axis=0), axis=1).sum()
-    assert any(not edge.certain for edge in edges)  # a loop closure
+    assert any(not edge.is_certain for edge in edges)  # a loop closure
     # Measured: 0.0028 with loop closures, and 0.0088 without.
     assert np.linalg.norm(found[0, :3, 3] - found[-1, :3, 3]) < 0.006 * length
     assert path_error(found, true) < 0.005

@@ -1,7 +1,8 @@
 """A graph of coordinate systems with measured similarities between them.
 
 Each node is a coordinate system. Its unknown is the similarity to a common system, with seven
-parameters. Each edge has a measured similarity between two nodes, from points that both nodes have.
+parameters. Each edge has a measured similarity between two nodes, from points that belong to both
+nodes.
 """
 
 from collections.abc import Sequence
@@ -27,13 +28,13 @@ class Edge:
     second: int
     # (4, 4) float64: from the second node's coordinates to the first node's coordinates
     similarity: np.ndarray
-    # (N, 3) float64: points that both nodes have, in the first node's coordinates
+    # (N, 3) float64: points that belong to both nodes, in the first node's coordinates
     points: np.ndarray
     distances: np.ndarray  # (N,) float64: distances of these points from the camera
     deviation: float  # error of a point, as a share of its distance
-    weight: float  # weight of the edge: the number of points that `points` is a sample of
-    # Whether the edge is surely right. Other edges get less weight if they do not fit.
-    certain: bool
+    weight: float  # weight of the edge: the number of shared points, of which `points` is a sample
+    # Whether the edge is surely right. An uncertain edge gets less weight if it does not fit.
+    is_certain: bool
 
     @property
     def ends(self) -> tuple[int, int]:
@@ -79,7 +80,7 @@ def optimise_sim3_graph(
 
 
 def chain_sim3(count: int, edges: Sequence[Link]) -> list[dict[int, np.ndarray]]:
-    """Return the groups of connected nodes, with similarities along the first edges that connect.
+    """Return the groups of connected nodes; similarities are chained along the first edges.
 
     Arguments and result are as for `optimise_sim3_graph`.
     """
@@ -101,8 +102,10 @@ def chain_sim3(count: int, edges: Sequence[Link]) -> list[dict[int, np.ndarray]]
     for node in range(count):
         nodes = sorted(group[node])
         if nodes[0] == node:
-            back = np.linalg.inv(similarities[node])
-            groups.append({member: back @ similarities[member] for member in nodes})
+            to_first_node = np.linalg.inv(similarities[node])
+            groups.append(
+                {other_node: to_first_node @ similarities[other_node] for other_node in nodes}
+            )
     return groups
 
 
@@ -116,7 +119,7 @@ def _optimise(start: dict[int, np.ndarray], edges: Sequence[Edge]) -> dict[int, 
         matrix, vector = np.zeros((7 * len(nodes),) * 2), np.zeros(7 * len(nodes))
         for edge in edges:
             residual, jacobian, weight = _residual(edge, similarities)
-            if not edge.certain:
+            if not edge.is_certain:
                 weight = weight / (1 + float(residual @ weight @ residual) / outlier_error**2) ** 2
             weight *= edge.weight / edge.deviation**2
             first, second = (slice(7 * index_of[k], 7 * index_of[k] + 7) for k in edge.ends)

@@ -231,7 +231,9 @@ def _edges_of_loops(
                 values[is_inlier] for values in (points, others, distances)
             )
             deviation = float(np.median(relative_errors(similarity, points, others, distances)))
-            yield _make_edge(first, second, similarity, points, distances, deviation, certain=False)
+            yield _make_edge(
+                first, second, similarity, points, distances, deviation, is_certain=False
+            )
 
 
 def _make_edge(
@@ -242,7 +244,7 @@ def _make_edge(
     distances: np.ndarray,
     deviation: float = 0.0,
     *,
-    certain: bool = True,
+    is_certain: bool = True,
 ) -> Edge:
     sample = np.linspace(0, len(points) - 1, min(len(points), SUBMAPS.max_edge_points)).astype(int)
     return Edge(
@@ -253,7 +255,7 @@ def _make_edge(
         distances=distances[sample],
         deviation=max(deviation, SUBMAPS.min_point_error),
         weight=float(len(points)),
-        certain=certain,
+        is_certain=is_certain,
     )
 
 
