@@ -207,7 +207,7 @@ def test_wrong_arguments_are_refused():
 
 def test_result_does_not_replace_its_labels(short):
     before = labels_of(short)
-    with pytest.raises(ValueError, match="which is written to: give another folder"):
+    with pytest.raises(ValueError, match="the output folder: give another folder"):
         reconstructed(labels=short.folder, folder=short.folder)
     np.testing.assert_array_equal(labels_of(short), before)
 

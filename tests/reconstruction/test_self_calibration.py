@@ -440,7 +440,7 @@ def test_camera_file_keeps_its_calibration(found, tmp_path):
     again = path_of(few(), camera=found.folder, folder=tmp_path / "again")
     assert again.calibration == found.calibration and again.camera == found.camera
     assert json.loads((tmp_path / "again" / "camera.json").read_text())["origin"] == "estimated"
-    with pytest.raises(ValueError, match="written to"):
+    with pytest.raises(ValueError, match="the output folder"):
         path_of(few(), camera=tmp_path / "again", folder=tmp_path / "again")
 
 

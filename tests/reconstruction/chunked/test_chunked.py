@@ -250,5 +250,5 @@ def test_error_of_a_chunk_is_raised(tmp_path):
 
 
 def test_result_is_not_written_among_frames(frames):
-    with pytest.raises(ValueError, match="which is written to"):
+    with pytest.raises(ValueError, match="the output folder: give another folder"):
         in_chunks(frames, frames)
