@@ -287,7 +287,7 @@ def test_the_scale_of_a_missing_frame_is_refused_at_once(tisfm_run, film, work_f
 def test_poses_are_written_when_the_scale_turns_out_to_be_wrong(
     tisfm_run, film, work_folder, monkeypatch
 ):
-    monkeypatch.setattr("tisfm.cli.reconstruct._count", lambda source, frames: None)
+    monkeypatch.setattr("tisfm.cli.reconstruct._max_frame_count", lambda source, frames: None)
     code, _, err = tisfm_run(
         "reconstruct", "film", *options(film, *NO_DEPTH, "--scale", "0", "7", "1")
     )

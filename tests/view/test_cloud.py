@@ -46,21 +46,21 @@ def test_points_project_to_their_pixels(height, width, most, scale, seed):
     inverse = random.uniform(0.5, 1.5, (height, width))
     inverse[random.uniform(size=inverse.shape) < 0.2] = np.nan
     frame = made(inverse, scale=scale)
-    points = frame_cloud(frame, "image", RANGES, PointFilter(most_points=most))
+    points = frame_cloud(frame, "image", RANGES, PointFilter(max_points=most))
     x, y, z = points.positions.T
     rows, columns = points.pixels.T
     np.testing.assert_allclose(30 * x / z + 11, columns, atol=1e-3)
     np.testing.assert_allclose(30 * y / z + 5, rows, atol=1e-3)
     np.testing.assert_allclose(scale / z, inverse[rows, columns], rtol=1e-5)
     np.testing.assert_array_equal(points.colors, frame.picture[rows, columns])
-    whole = frame_cloud(frame, "image", RANGES, PointFilter(most_points=10**9))
+    whole = frame_cloud(frame, "image", RANGES, PointFilter(max_points=10**9))
     assert len(whole) == np.isfinite(inverse).sum()
     assert whole.step == 1 and points.step >= 1
 
 
 @pytest.mark.parametrize("most", [1, 10, 100, 1000, 5000])
 def test_the_number_of_points_is_limited(most):
-    points = frame_cloud(made(np.ones((60, 80))), "image", RANGES, PointFilter(most_points=most))
+    points = frame_cloud(made(np.ones((60, 80))), "image", RANGES, PointFilter(max_points=most))
     assert 0.3 * min(most, 4800) <= len(points) <= 1.4 * most + 1
 
 
@@ -69,7 +69,7 @@ def test_thresholds_select_points(tmp_path):
     frame = open_result(tmp_path).read(0)
 
     def left(**options):
-        points = frame_cloud(frame, "image", RANGES, PointFilter(most_points=10**9, **options))
+        points = frame_cloud(frame, "image", RANGES, PointFilter(max_points=10**9, **options))
         mask = np.zeros(frame.shape, bool)
         mask[tuple(points.pixels.T)] = True
         return mask
@@ -106,7 +106,7 @@ def test_a_frame_without_depth_has_no_points():
 def test_a_surface_is_torn_where_depth_jumps(most):
     inverse = np.ones((20, 31))
     inverse[:, 15:] = 0.5
-    points = frame_cloud(made(inverse), "image", RANGES, PointFilter(most_points=most))
+    points = frame_cloud(made(inverse), "image", RANGES, PointFilter(max_points=most))
     triangles = triangles_between(points, (20, 31))
     near = points.positions[:, 2][triangles] < 1.5
     assert len(triangles) and (near.all(axis=1) | (~near).all(axis=1)).all()

@@ -5,7 +5,7 @@ import pytest
 
 from tests.view.pages import change, wait_for, wait_until_drawn
 from tests.view.results import write_reconstruction, write_record_of, write_run
-from tisfm.view.viewpoint import in_sight
+from tisfm.view.viewpoint import are_visible
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'tisfm[view]'")
 
@@ -140,9 +140,9 @@ def test_the_ends_of_the_box(opened, tmp_path, name):
 def test_clear_removes_measurements(opened, tmp_path):
     write_run(tmp_path / "r", 1)
     page = opened(tmp_path / "r")
-    page.marks.measured = [np.zeros(3)]
+    page.marks.measured_points = [np.zeros(3)]
     change(page, "clear", True)
-    wait_for(lambda: not page.marks.measured)
+    wait_for(lambda: not page.marks.measured_points)
 
 
 def test_the_speed_holds_from_now_on(opened, tmp_path):
@@ -171,10 +171,10 @@ def test_the_box_surrounds_the_points_and_has_round_steps(opened, tmp_path):
     inside = ((page.points.positions >= low) & (page.points.positions <= high)).all(axis=1)
     assert 0.1 < inside.mean() < 1
     seen_from, _ = page.scene.overview(page.frame, page.points)
-    assert in_sight(np.array([low, high]), seen_from).all()
+    assert are_visible(np.array([low, high]), seen_from).all()
     # A little larger, it would have handles that are out of sight.
     larger = (low + high) / 2 + 0.55 * np.stack([low - high, high - low])
-    assert not in_sight(larger, seen_from).all()
+    assert not are_visible(larger, seen_from).all()
     step = page.controls.box_low.step
     assert step == page.controls.box_high.step == pytest.approx(page.scene.depth / 50, rel=0.5)
     assert float(f"{step:.0e}") == step

@@ -98,8 +98,8 @@ def test_no_exported_page_runs_script_of_a_folder(tab, tmp_path, kind):
             result,
             quantity="image",
             ranges=ranges_of(sample_frames(FrameCache(result), 1)),
-            points=PointFilter(most_points=50),
-            most_frames=4,
+            points=PointFilter(max_points=50),
+            max_frames=4,
             frames_per_second=8,
         )
         path = tmp_path / "view.html"

@@ -299,7 +299,7 @@ def test_two_clicks_measure(opened, tmp_path):
     wait_for(lambda: f"distance {expected:.4g}" in page.controls.distance.content)
     page.thread.put(page.marks.clear_measured)
     wait_for(lambda: "two points" in page.controls.distance.content)
-    assert not page.marks.measured
+    assert not page.marks.measured_points
 
 
 def test_paths_of_the_camera_and_of_objects(opened, tmp_path):
@@ -321,19 +321,19 @@ def test_a_static_page_holds_everything(tmp_path):
     page = ViewerPage(open_result(tmp_path / "r"), port=0)
     page.stop()
     options = {"ranges": page.ranges, "points": page.point_filter(500), "frames_per_second": 5}
-    text = static_page(page.result, quantity="image", most_frames=3, **options)
+    text = static_page(page.result, quantity="image", max_frames=3, **options)
     assert "__VISER_EMBED_DATA__" in text.text and "</html>" in text.text
-    more = static_page(page.result, quantity="image", most_frames=5, **options)
+    more = static_page(page.result, quantity="image", max_frames=5, **options)
     assert len(more.text) > len(text.text)
     assert text.frames == 3 and more.frames == 5 and not more.unread
     (tmp_path / "r" / "frames" / "000000.jpg").unlink()
-    left = static_page(page.result, quantity="image", most_frames=5, **options)
+    left = static_page(page.result, quantity="image", max_frames=5, **options)
     assert left.frames == 4 and "f0" in left.unread[0]
     assert "4 of 5 frames. Left out, as it cannot be read: f0" in left.text
     for k in range(1, 5):
         (tmp_path / "r" / "frames" / f"{k:06d}.jpg").unlink()
     with pytest.raises(ValueError, match="no frame that can be read: f0"):
-        static_page(page.result, quantity="image", most_frames=5, **options)
+        static_page(page.result, quantity="image", max_frames=5, **options)
 
 
 def test_a_static_page_has_the_path_of_every_piece(tmp_path, monkeypatch):
@@ -352,8 +352,8 @@ def test_a_static_page_has_the_path_of_every_piece(tmp_path, monkeypatch):
         result,
         quantity="image",
         ranges=Ranges(inverse_depth=1.0, flow=1.0),
-        points=PointFilter(most_points=100),
-        most_frames=5,
+        points=PointFilter(max_points=100),
+        max_frames=5,
         frames_per_second=5,
     )
     assert shown == [[0, 1, 2], [3, 4], [0, 1, 2]]  # and it begins anew

@@ -102,8 +102,8 @@ def test_a_static_page_has_a_legend(tmp_path, quantity, words):
         open_result(tmp_path / "r"),
         quantity=quantity,
         ranges=Ranges(inverse_depth=1.0, flow=1.0),
-        points=PointFilter(most_points=100),
-        most_frames=1,
+        points=PointFilter(max_points=100),
+        max_frames=1,
         frames_per_second=5,
     )
     assert ("linear-gradient(to right,#" in made.text) == (quantity != "image")

@@ -38,7 +38,7 @@ class Batch:
     workers: int = 1
     """Number of videos at a time."""
     threads: int | None = None
-    """Maximum number of CPU threads for each video. By default its share of all cores."""
+    """Maximum number of CPU threads for each video. By default the workers share all cores."""
     resume: bool = False
     """Continue interrupted runs and reconstructions."""
 
@@ -89,7 +89,7 @@ def read_jobs(path: Path) -> list[Job]:
                 raise InputError(f"{path} names a column twice in its first line")
             reader.fieldnames = columns
             for row in reader:
-                job = _job(row, f"{path}, line {reader.line_num}", reader.line_num)
+                job = _parse_job(row, f"{path}, line {reader.line_num}", reader.line_num)
                 real_path = os.path.realpath(job.output)
                 if real_path in outputs:
                     raise InputError(
@@ -117,52 +117,53 @@ def batch(options: Batch) -> int:
         raise InputError(f"threads is {threads}: expected a positive number")
     jobs = read_jobs(path)
     threads = threads or max(1, usable_cores() // workers)
-    calls = [_arguments(job, options, threads) for job in jobs]
-    for job, call in zip(jobs, calls, strict=True):
+    argument_lists = [_job_arguments(job, options, threads) for job in jobs]
+    for job, arguments in zip(jobs, argument_lists, strict=True):
         try:
-            _check(call)
+            _check_arguments(arguments)
         except ValueError as error:
             raise InputError(f"{path}, line {job.line}: {error}") from error
-    failed = 0
+    failed_count = 0
     with progress_bar() as progress, CommandProcesses(workers) as processes:
         task = progress.add_task(path.name, total=len(jobs))
         futures = [
-            processes.submit(call, Path(job.output)) for job, call in zip(jobs, calls, strict=True)
+            processes.submit(arguments, Path(job.output))
+            for job, arguments in zip(jobs, argument_lists, strict=True)
         ]
         estimate = TimeEstimate("videos")
         for number, (job, future) in enumerate(zip(jobs, futures, strict=True), 1):
-            finished = future.result()
+            outcome = future.result()
             estimate.update(number, len(jobs))
-            failed += finished.exit_code != 0
-            message = finished.message or f"exit code {finished.exit_code}"
-            for line in (message, *finished.notes):
+            failed_count += outcome.exit_code != 0
+            message = outcome.message or f"exit code {outcome.exit_code}"
+            for line in (message, *outcome.notes):
                 tell(f"{job.output}: {line}")
             progress.advance(task)
-    count = len(jobs) - failed
-    tell(f"{count} of {len(jobs)} done" + (f", {failed} failed" if failed else ""))
-    return 1 if failed else 0
+    count = len(jobs) - failed_count
+    tell(f"{count} of {len(jobs)} done" + (f", {failed_count} failed" if failed_count else ""))
+    return 1 if failed_count else 0
 
 
-def _check(call: list[str]) -> None:
-    """Raise WrongOptionError if a command does not take these arguments."""
-    if {"--help", "-h"} & set(call):
+def _check_arguments(arguments: list[str]) -> None:
+    """Raise WrongOptionError unless the command takes these arguments."""
+    if {"--help", "-h"} & set(arguments):
         raise WrongOptionError("--help is not an option of a job: remove this column")
-    parse_command(call)
+    parse_command(arguments)
 
 
-def _job(row: dict[str, str], where: str, line: int) -> Job:
+def _parse_job(row: dict[str, str], line_name: str, line: int) -> Job:
     if None in row:
-        raise InputError(f"{where} has more cells than there are columns")
+        raise InputError(f"{line_name} has more cells than there are columns")
     cells = {name: (value or "").strip() for name, value in row.items()}
     for name in (SOURCE, OUTPUT):
         if not cells[name]:
-            raise InputError(f"{where} has no {name}")
+            raise InputError(f"{line_name} has no {name}")
     options: list[str] = []
     try:
         for name in cells.keys() - {SOURCE, OUTPUT}:
             shlex.split(cells[name])
     except ValueError as error:
-        raise InputError(f"{where}: {error}") from None
+        raise InputError(f"{line_name}: {error}") from None
     for name, value in cells.items():
         if name in (SOURCE, OUTPUT) or not value:
             continue
@@ -173,7 +174,7 @@ def _job(row: dict[str, str], where: str, line: int) -> Job:
     return Job(line=line, source=cells[SOURCE], output=cells[OUTPUT], options=tuple(options))
 
 
-def _arguments(job: Job, options: Batch, threads: int) -> list[str]:
+def _job_arguments(job: Job, options: Batch, threads: int) -> list[str]:
     resume = ["--resume"] if options.resume else []
-    others = ["-o", job.output, *resume, "--threads", str(threads), *job.options]
-    return [options.command, job.source, *others]
+    arguments = ["-o", job.output, *resume, "--threads", str(threads), *job.options]
+    return [options.command, job.source, *arguments]

@@ -29,8 +29,8 @@ from tisfm.settings import Preset, Settings
 from tisfm.version import __version__
 
 SHELLS = ("bash", "zsh", "fish", "tcsh")
-# Python in tyro's scripts, after the data: if options of `LIST_OPTIONS` have values with commas
-# between, the last value is completed.
+# Python code that follows the data in tyro's scripts: it completes the last of several values with
+# commas between, for the options of `LIST_OPTIONS`.
 _COMPLETE_AFTER_COMMAS = """
 _given = sys.argv[int(sys.argv[-1]) + 1 : -1][:1]
 _before = _given[0].rpartition(',')[0] + ',' if _given and ',' in _given[0] else ''
@@ -39,13 +39,13 @@ for _name, _command in COMPLETION_SPEC['subcommands'].items():
         if set(_option['flags']) & set(LIST_OPTIONS.get(_name, ())):
             _option['choices'] = [_before + choice for choice in _option['choices']]
 """
-# Lines that tyro's scripts lack: complete file names where no option or value fits.
+# Lines that are added to tyro's scripts: they complete file names where no option or value fits.
 _COMPLETE_FILES = {
     "bash": "complete -o default -F _tyro_tisfm tisfm",
     "zsh": "(( compstate[nmatches] )) || _files",
     "fish": "complete --command tisfm --force-files",
 }
-_DATA = "COMPLETION_SPEC = "  # beginning of the line of tyro's scripts with the options
+_SPEC_PREFIX = "COMPLETION_SPEC = "  # beginning of the line of tyro's scripts with the options
 TOP_LEVEL_OPTIONS = ("--help", "--version", "--completion")
 # Commands in the order of the help, with their modules and classes. A module is imported when its
 # command is called.
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     wrong option. Any other error is a bug, and prints its traceback.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    # Silence FFmpeg about damaged videos: the command prints one line itself.
+    # FFmpeg prints nothing about damaged videos: the command itself prints one line.
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     # Warnings of libraries about glyphs in names and damaged EXIF data do not concern results.
     warnings.filterwarnings("ignore", r"Glyph \d+", UserWarning)
@@ -132,7 +132,7 @@ def parse_command(arguments: Sequence[str]) -> Command:
         )
     name, *other_arguments = arguments
     if name in COMMANDS:
-        command_class, default = _command(name, arguments)
+        command_class, default = _load_command(name, arguments)
         command: Command = parse(name, command_class, other_arguments, default)
         return command
     if name in ("--help", "-h") and not other_arguments:
@@ -149,13 +149,13 @@ def parse_command(arguments: Sequence[str]) -> Command:
     )
 
 
-def _command(name: str, arguments: Sequence[str] = ()) -> tuple[type, Any]:
+def _load_command(name: str, arguments: Sequence[str] = ()) -> tuple[type, Any]:
     """Return the class of a command, and an instance with the defaults of the given preset."""
     module, command_class = COMMANDS[name]
     command = getattr(import_module(module), command_class)
     if name not in ("run", "eval"):
         return command, None
-    preset = _preset(arguments)
+    preset = _find_preset(arguments)
     settings = Settings.preset(preset)
     if "--sequence" in arguments:  # the path of a sequence needs a rigid camera motion
         settings = Settings.preset(preset, motion="camera")
@@ -169,11 +169,11 @@ def _all_commands(arguments: list[str]) -> None:
     """Let tyro print the help of all commands, or a completion script for a shell."""
     commands: list[Any] = []
     for name in COMMANDS:
-        command, default = _command(name)
-        given = {} if default is None else {"default": default}
+        command, default = _load_command(name)
+        defaults = {} if default is None else {"default": default}
         summary = (command.__doc__ or "").partition("\n")[0]
         commands.append(
-            Annotated[command, subcommand(name, prefix_name=False, description=summary, **given)]
+            Annotated[command, subcommand(name, prefix_name=False, description=summary, **defaults)]
         )
     with wrapped_help(_DESCRIPTION) as description:
         tyro.cli(reduce(or_, commands), prog="tisfm", args=arguments, description=description)
@@ -197,21 +197,25 @@ def _print_completion(shells: Sequence[str]) -> int:
             f"completion for {shell} needs shtab, which is not installed: pip install shtab"
         ) from error
     for line in script.getvalue().splitlines():
-        name, is_data, data = line.partition(_DATA)
+        name, is_data, data = line.partition(_SPEC_PREFIX)
         if is_data and not name:
             # A script for fish has the data in a text, whose quotes and dollars are escaped.
             escaped = shell == "fish"
             data = re.sub(r"\\(.)", r"\1", data) if escaped else data
-            added = f"{_completed(ast.literal_eval(data))!r}\nLIST_OPTIONS = {LIST_OPTIONS!r}"
-            added += f"\nimport sys{_COMPLETE_AFTER_COMMAS}"
-            line = _DATA + (re.sub(r'(["\\$])', r"\\\1", added) if escaped else added)
+            spec_text = (
+                f"{_complete_spec(ast.literal_eval(data))!r}\nLIST_OPTIONS = {LIST_OPTIONS!r}"
+            )
+            spec_text += f"\nimport sys{_COMPLETE_AFTER_COMMAS}"
+            line = _SPEC_PREFIX + (
+                re.sub(r'(["\\$])', r"\\\1", spec_text) if escaped else spec_text
+            )
         print(line)
     print(_COMPLETE_FILES.get(shell, ""))
     return 0
 
 
-def _completed(spec: dict[str, Any]) -> dict[str, Any]:
-    """Return the commands and options of tyro's script, with those that tyro does not know.
+def _complete_spec(spec: dict[str, Any]) -> dict[str, Any]:
+    """Add options that tyro does not know to the commands and options of its script.
 
     The order of values is always the same.
     """
@@ -241,13 +245,13 @@ def _fail(text: str, code: int = 1) -> int:
     return code
 
 
-def _preset(arguments: Sequence[str]) -> Preset:
+def _find_preset(arguments: Sequence[str]) -> Preset:
     """Return the given preset, before parsing, so that help shows its values as defaults."""
     preset: Preset = "balanced"
     for index, argument in enumerate(arguments):
         name, equals, value = argument.partition("=")
         if name == "--preset":
-            value_given = value if equals else "".join(arguments[index + 1 : index + 2])
-            if value_given in get_args(Preset):  # else the parser refuses it
-                preset = value_given  # type: ignore[assignment]
+            given_value = value if equals else "".join(arguments[index + 1 : index + 2])
+            if given_value in get_args(Preset):  # the parser refuses other values
+                preset = given_value  # type: ignore[assignment]
     return preset

@@ -36,11 +36,13 @@ def print_source_notes() -> Iterator[None]:
     """Print each `SourceWarning` of the block as one line that begins with "note:"."""
     from tisfm.sources.frame_reader import SourceWarning
 
-    def show(message: Warning | str, category: type[Warning], *details: Any, **more: Any) -> None:
+    def show(
+        message: Warning | str, category: type[Warning], *arguments: Any, **options: Any
+    ) -> None:
         if issubclass(category, SourceWarning):
             tell(f"note: {message}")
         else:
-            original(message, category, *details, **more)
+            original(message, category, *arguments, **options)
 
     with warnings.catch_warnings():
         warnings.simplefilter("always", SourceWarning)
@@ -88,23 +90,23 @@ def tell_device(arch: Arch | None) -> None:
 
 
 @contextmanager
-def watch_interrupt(watched: bool) -> Iterator[Callable[[], bool]]:
+def watch_interrupt(is_watched: bool) -> Iterator[Callable[[], bool]]:
     """Yield a function that returns whether Ctrl-C was pressed.
 
-    If `watched`, the first Ctrl-C interrupts nothing.
+    If `is_watched`, the first Ctrl-C interrupts nothing.
     """
     was_pressed = False
 
     def receive(number: int, frame: FrameType | None) -> None:
         nonlocal was_pressed
         was_pressed = True
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, earlier_handler)
 
-    before = signal.getsignal(signal.SIGINT) or signal.default_int_handler
-    if watched:
+    earlier_handler = signal.getsignal(signal.SIGINT) or signal.default_int_handler
+    if is_watched:
         signal.signal(signal.SIGINT, receive)
     try:
         yield lambda: was_pressed
     finally:
-        if watched:
-            signal.signal(signal.SIGINT, before)
+        if is_watched:
+            signal.signal(signal.SIGINT, earlier_handler)

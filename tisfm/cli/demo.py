@@ -100,7 +100,7 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
     make_result_folder(output)
     for folder in folders[1:]:
         make_subfolder(folder)
-    workers, each = _processes_and_threads(threads)
+    workers, worker_threads = _processes_and_threads(threads)
     rows: Rows = {}
     with (
         progress_bar() as progress,
@@ -114,7 +114,7 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
                 height=height,
                 width=width,
                 seed=seed,
-                threads=each,
+                threads=worker_threads,
                 presence=Path(presence.name),
             )
             for work in PARTS
@@ -125,7 +125,9 @@ def demo(output: Path, *, height: int, width: int, seed: int, threads: int | Non
                 raise part_rows
             rows |= part_rows
             progress.advance(task)
-    time_caption = f"Seconds on {'one thread' if each == 1 else f'{each} threads'}."
+    time_caption = (
+        f"Seconds on {'one thread' if worker_threads == 1 else f'{worker_threads} threads'}."
+    )
     print_full_width(
         _fill_table(_blocks_table(height, width, time_caption), rows, (PAPER, BALANCED, BASELINE))
     )

@@ -17,16 +17,16 @@ from tisfm.show import color_ramp, depth_grey, inverse_depth_limit
 
 ANIMATION = "demo.webp"
 FRAMES = 30
-_DURATION = 100  # ms a frame
+_FRAME_DURATION = 100  # ms a frame
 _QUALITY = 50  # of WebP
-_SWING_WIDTH = 0.12  # share of the width: motion of the nearest against the farthest point
+_SWING_WIDTH = 0.12  # share of the width: motion of the nearest point against the farthest
 _ELLIPSE_RATIO = 0.6  # height of the ellipse over its width
 _SHADING = 0.45  # share of the frame's brightness in the colours of depth
 _MIN_COLOR_CODE = 25  # of 255: colour code of the farthest points, which are not black
 _GAP_BRIGHTNESS = 0.8  # factor of brightness in gaps, which the frame does not show
 _MIN_EDGE_STEP = 0.08  # share of the range of nearness: a larger change within 5 px is an edge
-_SAMPLES_PER_PIXEL = 2  # samples per pixel side, which a pixel averages
-_POINTS_PER_PIXEL = 3  # per pixel side: more than samples, since visible surfaces can be stretched
+_SAMPLES_PER_PIXEL = 2  # per pixel side; a pixel is the mean of its samples
+_POINTS_PER_PIXEL = 3  # per pixel side: more than samples, because the motion stretches surfaces
 
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
@@ -60,7 +60,7 @@ def write_animation(path: Path, result: Interpretation, *, width: int = 360) -> 
         "WEBP",
         save_all=True,
         append_images=others,
-        duration=_DURATION,
+        duration=_FRAME_DURATION,
         loop=0,
         quality=_QUALITY,
         method=2,
@@ -87,8 +87,8 @@ def animation_frames(result: Interpretation, *, width: int = 360) -> list[Pictur
     enlarged = cv2.resize(_sharpen_edges(nearness), points, interpolation=cv2.INTER_NEAREST)
     nearness = np.asarray(cv2.medianBlur(enlarged, 5), np.float32)  # rounds enlarged pixels
     images = [
-        cv2.resize(paint, points, interpolation=cv2.INTER_LINEAR).reshape(-1, 3)
-        for paint in _paint_images(result)
+        cv2.resize(image, points, interpolation=cv2.INTER_LINEAR).reshape(-1, 3)
+        for image in _paint_images(result)
     ]
     order = np.argsort(nearness, axis=None, kind="stable").astype(np.int32)  # far to near
     positions = _point_positions(nearness, order, height, width)
@@ -96,7 +96,7 @@ def animation_frames(result: Interpretation, *, width: int = 360) -> list[Pictur
     for number in range(FRAMES):
         phase = 2 * math.pi * number / FRAMES
         visible_points, is_gap = _view(positions, order, phase, height, width)
-        grey, colors = (np.take(paint, visible_points, axis=0) for paint in images)
+        grey, colors = (np.take(image, visible_points, axis=0) for image in images)
         share = min(1.0, max(0.0, 0.5 - 1.5 * math.cos(phase)))  # weight of the colours
         blended = cv2.addWeighted(grey, 1 - share, colors, share, 0)
         blended[is_gap] = (blended[is_gap] * _GAP_BRIGHTNESS).astype(np.uint8)
@@ -106,9 +106,9 @@ def animation_frames(result: Interpretation, *, width: int = 360) -> list[Pictur
 
 
 def _sharpen_edges(nearness: Floats) -> Floats:
-    """Make edges steps: points between two surfaces would look like threads between them."""
-    around = np.ones((5, 5), np.uint8)
-    far, near = cv2.erode(nearness, around), cv2.dilate(nearness, around)
+    """Make edges sharp: points between two surfaces would look like threads between them."""
+    window = np.ones((5, 5), np.uint8)
+    far, near = cv2.erode(nearness, window), cv2.dilate(nearness, window)
     nearer = np.where(nearness - far < near - nearness, far, near)
     return np.where(near - far > _MIN_EDGE_STEP, nearer, nearness)
 
@@ -151,23 +151,29 @@ def _view(
 ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
     """Return the visible point at each sample, and the mask of gaps.
 
-    A gap has the farther one of the two points beside it in its row.
+    A gap gets the farther of the two points beside it in its row.
     """
-    x, y, move = positions
-    high, wide = (
-        _SAMPLES_PER_PIXEL * height + 2,
-        _SAMPLES_PER_PIXEL * width + 2,
-    )  # with a rim for points outside
-    column = np.clip(x + move * np.float32(math.cos(phase)) + 1, 0, wide - 1).astype(np.int32)
-    row = np.clip(y + move * np.float32(_ELLIPSE_RATIO * math.sin(phase)) + 1, 0, high - 1)
-    rank = np.full(high * wide, -1, np.int32)  # of the visible point, in the order from far to near
-    rank[row.astype(np.int32) * wide + column] = np.arange(len(order), dtype=np.int32)
-    rank = rank.reshape(high, wide)[1:-1, 1:-1]
-    gap = rank < 0
-    columns = np.arange(wide - 2, dtype=np.int32)
-    left = np.maximum.accumulate(np.where(gap, -1, columns), axis=1)
-    right = np.minimum.accumulate(np.where(gap, wide - 2, columns)[:, ::-1], axis=1)[:, ::-1]
-    right = np.where(right > wide - 3, left, right)
+    x, y, motion = positions
+    # with a rim for points outside
+    padded_height, padded_width = _SAMPLES_PER_PIXEL * height + 2, _SAMPLES_PER_PIXEL * width + 2
+    column = np.clip(x + motion * np.float32(math.cos(phase)) + 1, 0, padded_width - 1).astype(
+        np.int32
+    )
+    row = np.clip(
+        y + motion * np.float32(_ELLIPSE_RATIO * math.sin(phase)) + 1, 0, padded_height - 1
+    )
+    rank = np.full(
+        padded_height * padded_width, -1, np.int32
+    )  # of the visible point, in the order from far to near
+    rank[row.astype(np.int32) * padded_width + column] = np.arange(len(order), dtype=np.int32)
+    rank = rank.reshape(padded_height, padded_width)[1:-1, 1:-1]
+    is_gap = rank < 0
+    columns = np.arange(padded_width - 2, dtype=np.int32)
+    left = np.maximum.accumulate(np.where(is_gap, -1, columns), axis=1)
+    right = np.minimum.accumulate(np.where(is_gap, padded_width - 2, columns)[:, ::-1], axis=1)[
+        :, ::-1
+    ]
+    right = np.where(right > padded_width - 3, left, right)
     left = np.where(left < 0, right, left)
-    farther = np.minimum(*(np.take_along_axis(rank, end, axis=1) for end in (left, right)))
-    return order[np.maximum(farther, 0)], gap
+    farther_rank = np.minimum(*(np.take_along_axis(rank, end, axis=1) for end in (left, right)))
+    return order[np.maximum(farther_rank, 0)], is_gap

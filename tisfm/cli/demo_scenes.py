@@ -32,11 +32,11 @@ from tisfm.running.pool import sendable_error
 from tisfm.scenes import SyntheticPair, static_scene, two_blocks
 from tisfm.settings import Settings
 
-NAME = "demo"  # of the demo's pairs
+NAME = "demo"  # of the pairs of the demo
 NO_VALUE = "–"
 PAPER, BALANCED, BASELINE = "preset paper", "balanced (default)", "Horn–Schunck"
 FIELD, CAMERA, OBJECTS = "field, at rest", "camera, at rest", "objects, moving"
-PARTS = "objects", "blocks", "camera"  # the slowest first
+PARTS = "objects", "blocks", "camera"  # the slowest part first
 _WARM_UP_SIZE = 144, 96  # px: small, but it uses the same kernels as the whole frame
 _CHECK_INTERVAL = 0.1  # s between two checks whether the command still runs
 
@@ -54,7 +54,7 @@ class Part:
         Folder of the demo.
     height, width, seed, threads
         As for `tisfm.cli.demo.demo`.
-    alive : Path
+    presence : Path
         A file that exists as long as the command runs.
     """
 
@@ -91,53 +91,55 @@ def run_part(part: Part) -> Rows | Exception:
 
 def _blocks(part: Part) -> Rows:
     """Interpret moving blocks under ``motion="field"``, and by Horn and Schunck."""
-    moving = two_blocks(part.height, part.width, seed=part.seed)
+    scene = two_blocks(part.height, part.width, seed=part.seed)
     paper, settings = Settings.preset("paper"), Settings()
-    writer = _writer(part, moving, settings)
-    horn_schunck(*_crops(moving))
+    writer = _writer(part, scene, settings)
+    horn_schunck(*_warm_up_crops(scene))
     results: dict[Settings, Interpretation] = {}
     rows: Rows = {}
-    for label, changed in ((PAPER, paper), (BALANCED, settings)):
-        results[changed], seconds = _interpret_timed(part, moving, changed)
-        depth = _by_part(moving, moving.labels, _relative_error(results[changed]))
-        cells = _flow_cells(results[changed].flow, moving)
-        rows[label] = (*cells, _cell(depth, 3), results[changed].status, seconds)
-    baseline, seconds = _measure_time(lambda: horn_schunck(moving.frame0, moving.frame1))
-    rows[BASELINE] = (*_flow_cells(baseline, moving), NO_VALUE, NO_VALUE, seconds)
-    _write(writer, moving, results[settings], baseline)
+    for label, pair_settings in ((PAPER, paper), (BALANCED, settings)):
+        results[pair_settings], seconds = _interpret_timed(part, scene, pair_settings)
+        depth = _mean_over_parts(scene, scene.labels, _relative_error(results[pair_settings]))
+        cells = _flow_cells(results[pair_settings].flow, scene)
+        rows[label] = (*cells, _format_cell(depth, 3), results[pair_settings].status, seconds)
+    baseline, seconds = _measure_time(lambda: horn_schunck(scene.frame0, scene.frame1))
+    rows[BASELINE] = (*_flow_cells(baseline, scene), NO_VALUE, NO_VALUE, seconds)
+    _write(writer, scene, results[settings], baseline)
     write_paper_figures(
         part.folder,
-        moving.frame0,
-        moving.frame1,
-        camera=moving.camera,
-        known_depth={changed: result.inverse_depth for changed, result in results.items()},
+        scene.frame0,
+        scene.frame1,
+        camera=scene.camera,
+        known_depth={
+            pair_settings: result.inverse_depth for pair_settings, result in results.items()
+        },
     )
     return rows
 
 
 def _camera(part: Part) -> Rows:
     """Interpret static blocks under ``motion="camera"`` and ``motion="field"``."""
-    static = static_scene("forward+rotation", part.height, part.width, seed=part.seed)
+    scene = static_scene("forward+rotation", part.height, part.width, seed=part.seed)
     settings = Settings(motion="camera")
-    writer = _writer(part, static, settings)
-    result, seconds = _interpret_timed(part, static, settings)
-    _write(writer, static, result)
+    writer = _writer(part, scene, settings)
+    result, seconds = _interpret_timed(part, scene, settings)
+    _write(writer, scene, result)
     write_animation(part.output / ANIMATION, result)
-    field, field_seconds = _interpret_timed(part, static, Settings())
+    field, field_seconds = _interpret_timed(part, scene, Settings())
     return {
-        FIELD: (*_model_cells(field, static), field.status, field_seconds),
-        CAMERA: (*_model_cells(result, static), result.status, seconds),
+        FIELD: (*_model_cells(field, scene), field.status, field_seconds),
+        CAMERA: (*_model_cells(result, scene), result.status, seconds),
     }
 
 
 def _objects(part: Part) -> Rows:
     """Interpret moving blocks under ``motion="objects"``."""
-    moving = two_blocks(part.height, part.width, seed=part.seed)
+    scene = two_blocks(part.height, part.width, seed=part.seed)
     settings = Settings(motion="objects")
-    writer = _writer(part, moving, settings)
-    result, seconds = _interpret_timed(part, moving, settings)
-    _write(writer, moving, result)
-    return {OBJECTS: (*_model_cells(result, moving), result.status, seconds)}
+    writer = _writer(part, scene, settings)
+    result, seconds = _interpret_timed(part, scene, settings)
+    _write(writer, scene, result)
+    return {OBJECTS: (*_model_cells(result, scene), result.status, seconds)}
 
 
 def _writer(part: Part, scene: SyntheticPair, settings: Settings) -> PairWriter:
@@ -150,15 +152,15 @@ def _interpret_timed(
     part: Part, scene: SyntheticPair, settings: Settings
 ) -> tuple[Interpretation, str]:
     """Return an interpretation, and its time, s, without the compilation of kernels."""
-    with _ending_with_command(part.presence):
-        interpret(*_crops(scene), camera=scene.camera, settings=settings)
+    with _end_with_command(part.presence):
+        interpret(*_warm_up_crops(scene), camera=scene.camera, settings=settings)
         return _measure_time(
             lambda: interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=settings)
         )
 
 
 @contextmanager
-def _ending_with_command(presence: Path) -> Iterator[None]:
+def _end_with_command(presence: Path) -> Iterator[None]:
     """Within the block, which writes nothing, end this process if the command ends."""
     is_over = threading.Event()
 
@@ -176,7 +178,7 @@ def _ending_with_command(presence: Path) -> Iterator[None]:
         watcher.join()
 
 
-def _crops(scene: SyntheticPair) -> tuple[np.ndarray, np.ndarray]:
+def _warm_up_crops(scene: SyntheticPair) -> tuple[np.ndarray, np.ndarray]:
     height, width = _WARM_UP_SIZE
     return scene.frame0[:height, :width], scene.frame1[:height, :width]
 
@@ -212,23 +214,23 @@ def _flow_cells(flow: np.ndarray, scene: SyntheticPair) -> tuple[str, str]:
 
 
 def _model_cells(result: Interpretation, scene: SyntheticPair) -> tuple[str, ...]:
-    """Return errors of depth, flow and motion; surfaces with one motion share a scale of depth."""
+    """Return errors of depth, flow and motion; surfaces with one motion share one scale of depth."""
     _, part = np.unique(scene.motions, axis=0, return_inverse=True)
     parts = part.reshape(-1)[scene.labels]
     coverage = None
     if result.inverse_depth_std is not None:
-        coverage = _by_part(scene, parts, _coverage(result, result.inverse_depth_std))
+        coverage = _mean_over_parts(scene, parts, _coverage(result, result.inverse_depth_std))
     pose = _pose_errors(result, scene)
     return (
-        _cell(_by_part(scene, parts, _relative_error(result)), 3),
+        _format_cell(_mean_over_parts(scene, parts, _relative_error(result)), 3),
         NO_VALUE if coverage is None else f"{100 * coverage:.0f} %",
         f"{endpoint_error(result.flow, scene.flow, mask=scene.visible):.3f}",
-        _cell(None if pose is None else pose.direction, 3),
-        _cell(None if pose is None else pose.rotation, 4),
+        _format_cell(None if pose is None else pose.direction, 3),
+        _format_cell(None if pose is None else pose.rotation, 4),
     )
 
 
-def _cell(value: float | None, digits: int) -> str:
+def _format_cell(value: float | None, digits: int) -> str:
     return NO_VALUE if value is None else f"{value:.{digits}f}"
 
 
@@ -243,7 +245,7 @@ def _coverage(result: Interpretation, deviation: np.ndarray) -> Measure:
     return lambda truth, mask: std_coverage(result.inverse_depth, deviation, truth, mask)
 
 
-def _by_part(scene: SyntheticPair, parts: np.ndarray, measure: Measure) -> float | None:
+def _mean_over_parts(scene: SyntheticPair, parts: np.ndarray, measure: Measure) -> float | None:
     """Return the mean of a measure over the parts of a scene, weighted by their visible pixels.
 
     None if a part has no depth to measure.

@@ -176,12 +176,12 @@ def evaluate(options: Eval) -> int:
         counts = Counter(pair.status for pair in valid_pairs)
         number = len(valid_pairs)
         statuses = ", ".join(f"{count} {code}" for code, count in counts.items())
-        where = (
+        location = (
             ""
             if output is None
             else (f" Pictures and flow in {output}, every number in {output / EVALUATION_RECORD}.")
         )
-        tell(f"{number} pair{'s' * (number != 1)}: {statuses}.{where}")
+        tell(f"{number} pair{'s' * (number != 1)}: {statuses}.{location}")
     advice = {
         pair.status: pair.message for pair in reversed(valid_pairs) if pair.status != "converged"
     }

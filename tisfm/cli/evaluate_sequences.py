@@ -40,7 +40,7 @@ from tisfm.trajectory import read_trajectory, write_tum
 from tisfm.trajectory.times import times_or_numbers
 from tisfm.version import __version__
 
-if TYPE_CHECKING:  # it imports this module
+if TYPE_CHECKING:  # that module imports this one
     from tisfm.cli.evaluate import Eval
 
 
@@ -89,14 +89,14 @@ def evaluate_sequences(options: "Eval") -> int:
         )
     for table in sequence_tables(evaluations):
         print_full_width(table)
-    failed = [evaluation for evaluation in evaluations if evaluation.fault is not None]
-    valid_count = len(evaluations) - len(failed)
+    failed_evaluations = [evaluation for evaluation in evaluations if evaluation.fault is not None]
+    valid_count = len(evaluations) - len(failed_evaluations)
     if valid_count:
-        where = "" if output is None else f" Paths and every number in {output}."
-        tell(f"{valid_count} sequence{'s' * (valid_count != 1)}.{where}")
-    for evaluation in failed:
+        location = "" if output is None else f" Paths and every number in {output}."
+        tell(f"{valid_count} sequence{'s' * (valid_count != 1)}.{location}")
+    for evaluation in failed_evaluations:
         tell(f"tisfm: {evaluation.sequence.name}: {evaluation.fault}")
-    return 1 if failed else 0
+    return 1 if failed_evaluations else 0
 
 
 def _sequences(folders: Sequence[str], layout: str | None) -> list[DatasetSequence]:
@@ -104,7 +104,7 @@ def _sequences(folders: Sequence[str], layout: str | None) -> list[DatasetSequen
         names = ", ".join(map(repr, SEQUENCE_LAYOUTS))
         raise InputError(f"layout is {layout!r}, which has no sequences: expected one of {names}")
     return list(
-        dict.fromkeys(found for folder in folders for found in find_sequences(folder, layout))
+        dict.fromkeys(sequence for folder in folders for sequence in find_sequences(folder, layout))
     )
 
 
@@ -187,7 +187,7 @@ def _write_paths(path: Path, loaded: LoadedSequence, result: SequenceResult) -> 
         InputFiles(loaded.frames).refuse(file)
         make_result_folder(file.parent)
         in_piece = (result.piece == piece)[:, None, None]
-        write_tum(file, np.where(in_piece, result.poses, np.nan), times)
+        write_tum(file, np.location(in_piece, result.poses, np.nan), times)
 
 
 def _write_record(folder: Path, **record: Any) -> None:
@@ -213,14 +213,14 @@ def evaluate_objects(
         )
     if len(folders) > 1:
         raise InputError(
-            f"one result is given, but {len(folders)} folders, {', '.join(folders)}: give the one "
-            "of its true masks"
+            f"one result is given, but {len(folders)} folders, {', '.join(folders)}: give the "
+            "folder of its true masks"
         )
     (folder,) = folders
     scores = compare_masks(result, folder, step=1 if step is None else step)
     masks = true_masks(folder).resolve()
     name = masks.parent.name if masks.name == "masks" else masks.name
-    labels = {one.object_id: one.label for one in scores.objects if one.label is not None}
+    labels = {score.object_id: score.label for score in scores.objects if score.label is not None}
     true_folder = masks.parent if masks.name == "masks" else masks
     paths = None
     if has_true_paths(true_folder):
@@ -233,7 +233,7 @@ def evaluate_objects(
     print_full_width(mask_table(name, scores))
     if paths is not None:
         print_full_width(object_path_table(name, paths))
-    where = "" if output is None else f" Every number in {output}."
+    location = "" if output is None else f" Every number in {output}."
     count = len(scores.objects)
-    tell(f"{count} object{'s' * (count != 1)} in {scores.frames} frames.{where}")
+    tell(f"{count} object{'s' * (count != 1)} in {scores.frames} frames.{location}")
     return 0

@@ -111,7 +111,7 @@ def export(options: Export) -> int:
                 "give one of them with --to, or leave it out"
             )
     _refuse_inside(output, folder)
-    result, frames = _opened(folder, scale)
+    result, frames = _open_result(folder, scale)
     if options.screen_depth is not None and not frames.has_one_scale:
         raise InputError(
             f"--screen-depth needs one unit of depth, but each pair of {folder} has its own: give "
@@ -120,7 +120,7 @@ def export(options: Export) -> int:
     request = ExportRequest(
         result=result,
         frames=frames,
-        chosen=_chosen(len(frames), options.start, options.stop, options.step),
+        chosen=_select_frames(len(frames), options.start, options.stop, options.step),
         folder=output,
         frames_per_second=options.fps,
         disparity=options.disparity,
@@ -137,13 +137,13 @@ def export(options: Export) -> int:
             f"--scale sets the unit of the piece of these two frames, which has {size} frames; "
             "other pieces keep their units"
         )
-    printed: set[str] = set()
+    printed_notes: set[str] = set()
     for name, form in formats.items():
         with progress_bar() as bar:
             files = form.write(request, _progress_callback(name, bar))
-        tell(f"{name}: {_listed_files(files)}")
-        notes = [note for note in form.notes(request) if note not in printed]
-        printed.update(notes)
+        tell(f"{name}: {_describe_files(files)}")
+        notes = [note for note in form.notes(request) if note not in printed_notes]
+        printed_notes.update(notes)
         for note in notes:
             tell(f"{name}: {note}")
     return 0
@@ -153,16 +153,20 @@ def _formats(names: Sequence[str]) -> "dict[str, Format]":
     """Return formats by their names, each once; ValueError for unknown names."""
     from tisfm.exports.formats import FORMATS
 
-    unknown = [name for name in names if name not in FORMATS]
-    if unknown or not names:
-        meant = spelling_hint(unknown[0], FORMATS) if unknown else ""
-        what = f"{unknown[0]!r} is not a format{meant}" if unknown else "no format is given"
-        listed = "" if meant else f": expected some of {', '.join(FORMATS)}"
-        raise InputError(f"--to: {what}{listed}")
+    unknown_names = [name for name in names if name not in FORMATS]
+    if unknown_names or not names:
+        spelling = spelling_hint(unknown_names[0], FORMATS) if unknown_names else ""
+        reason = (
+            f"{unknown_names[0]!r} is not a format{spelling}"
+            if unknown_names
+            else "no format is given"
+        )
+        choices = "" if spelling else f": expected some of {', '.join(FORMATS)}"
+        raise InputError(f"--to: {reason}{choices}")
     return {name: FORMATS[name] for name in names}
 
 
-def _opened(
+def _open_result(
     folder: Path, scale: tuple[int, int, float] | None
 ) -> "tuple[Reconstruction | None, SequenceFrames | PairFrames]":
     """Return the reconstruction in a folder, None for a run, and its frames."""
@@ -191,7 +195,7 @@ def _opened(
     return None, PairFrames(folder)
 
 
-def _chosen(count: int, start: int, stop: int | None, step: int) -> range:
+def _select_frames(count: int, start: int, stop: int | None, step: int) -> range:
     """Return the numbers of the selected frames; ValueError if there are none."""
     if start < 0 or step < 1 or (stop is not None and stop < 0):
         raise InputError(
@@ -225,26 +229,26 @@ def _announce(formats: "dict[str, Format]", request: "ExportRequest") -> None:
 
 
 def _progress_callback(name: str, bar: Progress) -> Callable[[int, int], None]:
-    """Return a callback for the progress of a format; it prints the expected time of a long one."""
+    """Return a callback for the progress of a format; it prints a long remaining time."""
     task, is_printed = bar.add_task(name, total=None), False
-    begin, before = 0.0, 0
+    measured_since, measured_count = 0.0, 0
 
     def tell_progress(done: int, total: int) -> None:
-        nonlocal begin, before, is_printed
+        nonlocal measured_since, measured_count, is_printed
         bar.update(task, completed=done, total=total)
         now = time.monotonic()
-        if not before or done <= before:  # the first pass gives no speed
-            begin, before = now, done
-        elif not is_printed and now - begin > _MIN_MEASURED_TIME:
+        if not measured_count or done <= measured_count:  # the first call gives no speed
+            measured_since, measured_count = now, done
+        elif not is_printed and now - measured_since > _MIN_MEASURED_TIME:
             is_printed = True
-            left = (now - begin) / (done - before) * (total - done)
-            if left > _MIN_PRINTED_TIME:
-                tell(f"{name}: about {as_duration(left)} for {total - done} more frames")
+            remaining_time = (now - measured_since) / (done - measured_count) * (total - done)
+            if remaining_time > _MIN_PRINTED_TIME:
+                tell(f"{name}: about {as_duration(remaining_time)} for {total - done} more frames")
 
     return tell_progress
 
 
-def _listed_files(files: Sequence[Path]) -> str:
+def _describe_files(files: Sequence[Path]) -> str:
     """Return the paths of files, or their number in each folder if there are more than four."""
     folders = Counter(file.parent for file in files)
     if len(files) <= 4:

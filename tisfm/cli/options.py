@@ -67,7 +67,9 @@ class CameraOptions:
                 )
             return self.file
         focal = self.focal if isinstance(self.focal, float) else 600.0
-        distortion = None if self.distortion is None else _numbers(self.distortion, "distortion")
+        distortion = (
+            None if self.distortion is None else _parse_numbers(self.distortion, "distortion")
+        )
         return Camera(
             focal=focal,
             center=self.center,
@@ -94,7 +96,7 @@ def _with_options(text: str) -> str:
     text = re.sub(r'``"(\w+)"``', r"\1", text)
     return re.sub(
         r"`{1,2}(\w+)(?:=\"?(\w+)\"?)?`{1,2}",
-        lambda found: " ".join(["--" + found[1].replace("_", "-"), *filter(None, [found[2]])]),
+        lambda match: " ".join(["--" + match[1].replace("_", "-"), *filter(None, [match[2]])]),
         text,
     )
 
@@ -125,7 +127,7 @@ class StatedCameraOptions:
         return Camera(focal=self.focal, center=self.center)
 
 
-def _numbers(text: str, name: str) -> tuple[float, ...]:
+def _parse_numbers(text: str, name: str) -> tuple[float, ...]:
     """Read numbers with commas or spaces between."""
     try:
         return tuple(map(float, text.replace(",", " ").split()))

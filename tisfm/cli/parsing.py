@@ -64,17 +64,19 @@ def parse(name: str, command: type[T], arguments: Sequence[str], default: T | No
     SystemExit
         After the help text, if --help is given.
     """
-    words = _with_commas_split(arguments, LIST_OPTIONS.get(name, ()))
+    words = _split_commas(arguments, LIST_OPTIONS.get(name, ()))
     options = option_types(command)
     _refuse_unknown(name, words, options)
 
     def refuse(event: _errors.ParseErrorEvent) -> NoReturn:
-        raise WrongOptionError(f"{_explanation(name, event, words)}; see tisfm {name} --help")
+        raise WrongOptionError(f"{_explain(name, event, words)}; see tisfm {name} --help")
 
-    given: dict[str, Any] = {} if default is None else {"default": default}
+    defaults: dict[str, Any] = {} if default is None else {"default": default}
     text = inspect.cleandoc(command.__doc__ or "")
     with _errors.on_parse_error(refuse), wrapped_help(text) as description:
-        return tyro.cli(command, prog=f"tisfm {name}", args=words, description=description, **given)
+        return tyro.cli(
+            command, prog=f"tisfm {name}", args=words, description=description, **defaults
+        )
 
 
 @contextmanager
@@ -85,14 +87,14 @@ def wrapped_help(text: str) -> Iterator[str]:
     """
     width = shutil.get_terminal_size().columns
 
-    def joined(lines: str, width: int = sys.maxsize) -> str:
+    def join_lines(lines: str, width: int = sys.maxsize) -> str:
         fill = partial(textwrap.fill, width=width, break_on_hyphens=False)
         return "\n\n".join(map(fill, map(inspect.cleandoc, lines.split("\n\n"))))
 
-    description = joined(text, width)
+    description = join_lines(text, width)
     original = _strings.remove_single_line_breaks
     _strings.remove_single_line_breaks = lambda helptext: (
-        helptext if helptext == description else joined(helptext)
+        helptext if helptext == description else join_lines(helptext)
     )
     try:
         yield description
@@ -130,11 +132,11 @@ def option_types(command: type) -> dict[str, Any]:
 
 def suggestion(word: str, words: Iterable[str]) -> str:
     """Return ": did you mean …?" with the nearest known word; "" if none is similar."""
-    found = find_similar_word(word, words)
-    return "" if found is None else f": did you mean {found}?"
+    known_word = find_similar_word(word, words)
+    return "" if known_word is None else f": did you mean {known_word}?"
 
 
-def _with_commas_split(arguments: Sequence[str], list_options: Sequence[str]) -> list[str]:
+def _split_commas(arguments: Sequence[str], list_options: Sequence[str]) -> list[str]:
     """Return the arguments with ``--to a,b`` written as ``--to a --to b``."""
     words: list[str] = []
     remaining = iter(arguments)
@@ -160,7 +162,7 @@ def _refuse_unknown(name: str, words: Sequence[str], options: dict[str, Any]) ->
             )
 
 
-def _explanation(name: str, event: _errors.ParseErrorEvent, words: Sequence[str]) -> str:
+def _explain(name: str, event: _errors.ParseErrorEvent, words: Sequence[str]) -> str:
     """Return the reason, in words, why tyro refuses the arguments of a command."""
     if isinstance(event, _errors.InvalidChoice):
         choices = [choice for choice in _choices(event.argument) if choice != "None"]
@@ -174,8 +176,8 @@ def _explanation(name: str, event: _errors.ParseErrorEvent, words: Sequence[str]
         return f"tisfm {name} takes {count} {event.argument.field.intern_name}: give {label}"
     if isinstance(event, (_errors.BadValue, _errors.InstantiationFailure)) and event.argument:
         argument = event.argument
-        option, expected = argument.display_name(), _expected(argument)
-        given = _values_of(argument.lowered.name_or_flags, words)
+        option, expected = argument.display_name(), _expected_values(argument)
+        given = _given_values(argument.lowered.name_or_flags, words)
         if not given:
             return f"{option} has no value: expected {expected}"
         text = " ".join(given)
@@ -183,13 +185,13 @@ def _explanation(name: str, event: _errors.ParseErrorEvent, words: Sequence[str]
     if isinstance(event, _errors.UnrecognizedArgs):
         return f"tisfm {name} does not take {' '.join(event.tokens)}"
     if isinstance(event, _errors.MissingArgs):
-        missing = [
-            missing_one.arg.lowered.metavar
-            if missing_one.arg.is_positional()
-            else f"{missing_one.arg.lowered.name_or_flags[0]} {missing_one.arg.lowered.metavar}"
-            for missing_one in event.missing_arguments
+        missing_names = [
+            missing.arg.lowered.metavar
+            if missing.arg.is_positional()
+            else f"{missing.arg.lowered.name_or_flags[0]} {missing.arg.lowered.metavar}"
+            for missing in event.missing_arguments
         ]
-        return f"tisfm {name} needs {', '.join(map(str, missing))}"
+        return f"tisfm {name} needs {', '.join(map(str, missing_names))}"
     message = getattr(event, "message", "these options are wrong")
     return " ".join(str(message).split())
 
@@ -219,7 +221,7 @@ def _alternatives(kind: Any) -> list[Any]:
     return [] if kind is type(None) else [kind]
 
 
-def _expected(argument: Any) -> str:
+def _expected_values(argument: Any) -> str:
     """Return in words the values that an option takes, such as "a whole number"."""
     texts: list[str] = []
     for kind in _alternatives(argument.field.type_stripped):
@@ -235,7 +237,7 @@ def _expected(argument: Any) -> str:
     return " or ".join(dict.fromkeys(texts))
 
 
-def _values_of(names: Sequence[str], words: Sequence[str]) -> list[str]:
+def _given_values(names: Sequence[str], words: Sequence[str]) -> list[str]:
     """Return the values of an option at its last occurrence."""
     values: list[str] = []
     is_open = False

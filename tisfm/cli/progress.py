@@ -33,8 +33,8 @@ STAGES: dict[Stage, str] = {"reading": "reading, tracking", "path": "path", "dep
 LARGE_OUTPUT = 2e8  # bytes: a command that will write more prints this beforehand; set by hand
 _MIN_PRINTED_TIME = 60.0  # s: a shorter remaining time is not printed; set by hand
 _MIN_MEASURED_TIME = 5.0  # s over which the speed is measured; set by hand
-_FIRST_MEASURED_ITEM = 2  # item: the first one takes longer, because kernels are compiled
-_RECENT_PAIRS = 20  # pairs over which the speed and the slowest stage are measured; set by hand
+_FIRST_MEASURED_ITEM = 2  # the first item takes longer, because kernels are compiled
+_RECENT_PAIRS = 20  # the last pairs, which give the speed and the slowest stage; set by hand
 _STAGE_NAMES: dict[Stage, str] = {  # in timings.csv
     "reading": "Reading and tracking",
     "path": "Path",
@@ -78,7 +78,7 @@ class TimeEstimate:
 
 
 def progress_bar() -> Progress:
-    """Return a progress bar on standard error; it prints nothing unless that is a terminal."""
+    """Return a progress bar on standard error; it prints nothing if this is no terminal."""
     console = Console(stderr=True)
     return Progress(
         _Description(),
@@ -107,7 +107,7 @@ class RunProgress:
 
     Attributes
     ----------
-    last : float
+    last_seconds : float
         Time of the last stage, s.
     """
 
@@ -155,7 +155,7 @@ class RunProgress:
                 except StopIteration:
                     return
             yield item
-            del item  # or it would be in memory until the next one is read
+            del item  # otherwise it would stay in memory until the next item is read
 
     def finish(self, name: str, statuses: Mapping[str, int], *, count: int = 1) -> None:
         """Show the last finished pair and the number of finished pairs by status.

@@ -181,18 +181,18 @@ def reconstruct(options: Reconstruct) -> int:
         raise InputError(
             "--depth-of none estimates no depth, which --ply and --mesh need: leave out one of them"
         )
-    # Check now whether the last steps are possible: the steps before take long.
+    # Check first whether the last steps are possible: the steps before them take long.
     if scale is not None and object_sizes:
         raise InputError("--scale changes the unit of --object-sizes: give one of them, or --poses")
     if scale is not None:
-        _check_scale(*scale, count=_count(source, frames))
+        _check_scale(*scale, count=_max_frame_count(source, frames))
     if options.mesh is not None:
         check_scikit_image()
     if options.report:
         check_report(output)
     if isinstance(camera, Path):
-        _check_fits(camera, source, frames)
-    run = _prepared_run(options, source, frames, camera, poses, object_sizes, in_chunks)
+        _check_camera_file(camera, source, frames)
+    run = _prepare_run(options, source, frames, camera, poses, object_sizes, in_chunks)
     if options.resume and run.is_done():
         run.finish()  # remove the leftovers of a killed command
         tell(f"{output} is already complete. Results in {output}.")
@@ -242,7 +242,7 @@ def reconstruct(options: Reconstruct) -> int:
     return 0
 
 
-def _prepared_run(
+def _prepare_run(
     options: Reconstruct,
     source: Source,
     frames: FrameSelection,
@@ -297,50 +297,52 @@ def _announce(source: Source, output: Path, frames: FrameSelection, depth_of: De
     pairs = frames.open(source)
     if pairs.names is None:
         pairs = replace(frames, start=0, stop=None, step=1).open(source)
-    path_name = output.resolve()
+    output_path = output.resolve()
     folder = next(
-        (parent_path for parent_path in (path_name, *path_name.parents) if parent_path.exists()),
+        (parent for parent in (output_path, *output_path.parents) if parent.exists()),
         None,
     )
     try:
         with closing(pairs.frames()) as images:
-            first = next(images, None)
+            first_frame = next(images, None)
     except (OSError, ValueError):  # reading the source will report it
         return
-    if first is None or folder is None:
+    if first_frame is None or folder is None:
         return
-    pixels = math.prod(first.image.shape[:2])
-    each = _PICTURE_BYTES * first.image.size + _DEPTH_BYTES * pixels * (depth_of == "all")
-    expected, free = each * count, shutil.disk_usage(folder).free
+    pixels = math.prod(first_frame.image.shape[:2])
+    bytes_per_frame = _PICTURE_BYTES * first_frame.image.size + _DEPTH_BYTES * pixels * (
+        depth_of == "all"
+    )
+    expected, free = bytes_per_frame * count, shutil.disk_usage(folder).free
     if expected > free:
         tell(f"about {as_size(expected)} for {count} frames, but {as_size(free)} are free")
     elif expected > LARGE_OUTPUT:
         tell(f"about {as_size(expected)} for {count} frames in {output}")
 
 
-def _check_fits(file: Path, source: Source, frames: FrameSelection) -> None:
-    """Raise an error if a file is no camera, or does not fit the frames of a source."""
+def _check_camera_file(file: Path, source: Source, frames: FrameSelection) -> None:
+    """Raise an error unless a file has a camera that fits the frames of a source."""
     read_camera(file)  # before the source is read
     with closing(frames.open(source).frames()) as images:
-        first = next(images, None)
-    if first is not None:
-        read_camera(file, first.full_shape or first.image.shape[:2])
+        first_frame = next(images, None)
+    if first_frame is not None:
+        read_camera(file, first_frame.full_shape or first_frame.image.shape[:2])
 
 
 def _refuse_inside(file: Path, output: Path) -> None:
     """Raise InputError for a file in the output folder, whose contents are replaced."""
-    path_name = output.resolve()
-    if path_name in (file.resolve(), *file.resolve().parents):
+    output_path = output.resolve()
+    if output_path in (file.resolve(), *file.resolve().parents):
         raise InputError(f"{file} lies in {output}, whose files are replaced: give another folder")
 
 
-def _count(source: Source, frames: FrameSelection) -> int | None:
+def _max_frame_count(source: Source, frames: FrameSelection) -> int | None:
     """Return the largest possible number of frames; None if it is unknown before reading."""
     if _is_webcam(source):
         chosen = slice(frames.start, frames.stop, frames.step)
         return None if frames.stop is None else len(range(frames.stop)[chosen])
-    opened = frames.open(source)
-    return None if opened.names is None else len(opened.names)
+    pairs = frames.open(source)
+    return None if pairs.names is None else len(pairs.names)
 
 
 def _check_scale(frame0: int, frame1: int, distance: float, *, count: int | None) -> None:
@@ -371,19 +373,19 @@ def write_trajectories(result: Reconstruction, folder: Path) -> None:
 
 def _tell(result: Reconstruction, output: Path) -> None:
     count = len(result)
-    posed = int((result.piece >= 0).sum())
+    posed_count = int((result.piece >= 0).sum())
     sizes = np.bincount(result.piece[result.piece >= 0])
     pieces = f"{len(sizes)} piece{'s' * (len(sizes) != 1)}"
     if len(sizes) > 1:
         pieces += f" ({', '.join(map(str, sizes))} frames, each with its own scale)"
     tell(
-        f"{posed} of {count} frames have a pose, in {pieces}; {len(result.keyframes)} keyframes. "
-        f"Results in {output}."
+        f"{posed_count} of {count} frames have a pose, in {pieces}; {len(result.keyframes)} "
+        f"keyframes. Results in {output}."
     )
     for moving_object in result.objects:
-        posed_count = int(np.isfinite(moving_object.poses[:, 0, 0]).sum())
+        pose_count = int(np.isfinite(moving_object.poses[:, 0, 0]).sum())
         text = f"object {moving_object.id}: labelled in {len(moving_object.frames)} frames"
-        text += f", with a pose in {posed_count}" if posed_count else ""
+        text += f", with a pose in {pose_count}" if pose_count else ""
         tell(text + (f"; {moving_object.message}" if moving_object.message else ""))
     calibration = result.calibration
     if calibration.message:

@@ -70,5 +70,7 @@ def source_title(source: Source | None) -> str | None:
     if isinstance(source, (str, os.PathLike)):
         name = os.fspath(source)
         return Path(name).name or Path(name).resolve().name
-    names = [Path(os.fspath(part)).name for part in source if isinstance(part, (str, os.PathLike))]
+    names = [
+        Path(os.fspath(frame)).name for frame in source if isinstance(frame, (str, os.PathLike))
+    ]
     return f"{names[0]} … {names[-1]}" if len(names) > 2 else ", ".join(names)

@@ -127,8 +127,8 @@ class Run:
         if self.figures < 0:
             raise InputError(f"figures is {self.figures}: expected a number of pairs, or 0")
         chosen = self.outputs or DEFAULT_OUTPUTS
-        more = ["flow"] * self.flo + ["ply"] * self.ply
-        return check_outputs([*chosen, *more])
+        extra_outputs = ["flow"] * self.flo + ["ply"] * self.ply
+        return check_outputs([*chosen, *extra_outputs])
 
 
 def run(sequence: SequenceRun, *, report: bool) -> int:
@@ -157,10 +157,10 @@ def _tell_result(writer: PairWriter) -> None:
     """Print the number of pairs for each status, and its advice."""
     statuses = ", ".join(f"{count} {code}" for code, count in writer.statuses.items())
     seconds = sorted(writer.seconds)
-    typical = f", {seconds[len(seconds) // 2]:.2f} s each (median)" if seconds else ""
+    median_time = f", {seconds[len(seconds) // 2]:.2f} s each (median)" if seconds else ""
     number = sum(writer.statuses.values())
     tell(
-        f"{number} pair{'s' * (number != 1)}: {statuses}{typical}. Results in {writer.folder}, "
+        f"{number} pair{'s' * (number != 1)}: {statuses}{median_time}. Results in {writer.folder}, "
         f"settings and scales in {writer.folder / RECORD}."
     )
     for code, advice in writer.advice.items():

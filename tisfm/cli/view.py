@@ -69,21 +69,23 @@ class View:
         )
 
 
-_FIRST_BROWSER_WAIT = 10.0  # s: wait for a browser, before more than a first picture is made
+_FIRST_BROWSER_WAIT = (
+    10.0  # s: wait for a browser before more than the first coarse picture is drawn
+)
 
 
 def view(folder: Path, *, host: str, port: int, browser: bool, frame: int, points: int) -> int:
     """Show a result in the browser until Ctrl-C."""
     if points < 1:
         raise InputError(f"--points is {points}: expected a positive number")
-    result, server = _opened(folder, frame, host=host, port=port, browser=browser)
+    result, server = _open_or_wait(folder, frame, host=host, port=port, browser=browser)
     page = ViewerPage(
         result,
         host=host,
         port=port,
         number=frame,
-        most_points=points,
-        patience=_FIRST_BROWSER_WAIT,
+        max_points=points,
+        browser_wait=_FIRST_BROWSER_WAIT,
         server=server,
     )
     try:
@@ -111,8 +113,8 @@ def write_static(folder: Path, path: Path, *, frames: int, points: int) -> int:
         result,
         quantity="image",
         ranges=ranges,
-        points=PointFilter(most_points=points),
-        most_frames=frames,
+        points=PointFilter(max_points=points),
+        max_frames=frames,
         frames_per_second=8,
     )
     with atomic_write(path) as file:
@@ -124,12 +126,12 @@ def write_static(folder: Path, path: Path, *, frames: int, points: int) -> int:
     return 0
 
 
-def _opened(
+def _open_or_wait(
     folder: Path, frame: int, *, host: str, port: int, browser: bool
 ) -> "tuple[ResultFrames, ViserServer | None]":
-    """Open a result. If it is still being made, show a waiting page until its first frame.
+    """Open a result. If it has no frame yet, show a waiting page until its first frame.
 
-    The server of this page is returned as well.
+    Returns the result, and the server of the waiting page, None without such a page.
     """
     try:
         result = open_result(folder)

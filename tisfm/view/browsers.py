@@ -14,10 +14,9 @@ if TYPE_CHECKING:
     from viser import CameraHandle, ClientHandle, ViserServer
 
 # Set by hand.
-_MIN_ASPECT_CHANGE = (
-    0.1  # change of log(width / height) of a window from which the view is fitted anew
-)
-_MIN_MOVE = 1e-3  # distance, in median depths, from which a user has moved the view
+# change of log(width / height) of a window from which the view is fitted again
+_MIN_ASPECT_CHANGE = 0.1
+_MIN_MOVE = 1e-3  # median depths: with a larger distance, a user has moved the view
 
 
 class Browsers:
@@ -28,7 +27,7 @@ class Browsers:
     server : ViserServer
     scene : ViewerScene
     is_followed : callable
-        Tells whether browsers look from the position of the camera.
+        Returns whether browsers look from the position of the camera.
 
     Attributes
     ----------
@@ -37,11 +36,11 @@ class Browsers:
     """
 
     def __init__(
-        self, server: "ViserServer", scene: ViewerScene, is_followed: Callable[[], bool]
+        self, server: "ViserServer", scene: ViewerScene, is_following: Callable[[], bool]
     ) -> None:
         self.frame: ResultFrame | None = None
         self.points: FrameCloud | None = None
-        self._server, self._scene, self._is_followed = server, scene, is_followed
+        self._server, self._scene, self._is_following = server, scene, is_following
 
     def move_all_to_overview(self) -> None:
         """Move all browsers to a viewpoint that shows the frame and its points."""
@@ -65,7 +64,7 @@ class Browsers:
             client.camera.look_at = pose[:3, 3] + distance * pose[:3, 2]
             client.camera.fov = FOV
 
-    def welcome(self, client: "ClientHandle") -> None:
+    def add(self, client: "ClientHandle") -> None:
         """Fit the view of a new browser to its window, until its user moves the view.
 
         A browser that follows the camera is always fitted, so that the whole frame is visible.
@@ -79,12 +78,12 @@ class Browsers:
             nonlocal fitted_aspect, home, is_placed, was_moved, followed_aspect
             is_home = bool(np.linalg.norm(camera.position - home) <= _MIN_MOVE * self._scene.depth)
             is_due = camera.aspect != followed_aspect or (is_home and not is_placed)
-            if self._is_followed() and is_due:
+            if self._is_following() and is_due:
                 followed_aspect = camera.aspect
                 self._follow(client)
             is_placed |= is_home  # until then, the browser has not received its first viewpoint
             was_moved |= is_placed and not is_home
-            if self._is_followed():
+            if self._is_following():
                 return
             if (
                 is_home

@@ -10,7 +10,7 @@ from tisfm.results.frame import ResultFrame
 from tisfm.view.controls import Controls
 from tisfm.view.frame_cloud import FrameCloud
 from tisfm.view.scene import ViewerScene
-from tisfm.view.viewpoint import in_sight
+from tisfm.view.viewpoint import are_visible
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 Box = tuple[NDArray[np.float64], NDArray[np.float64]]
 # Set by hand.
 _HANDLE_LENGTH = 0.2  # of the arrows of a handle, in median depths
-_MAX_DEPTH = 1.5  # in median depths: the first box leaves out farther points
+_MAX_DEPTH = 1.5  # in median depths: the first box does not contain farther points
 _OUTSIDE_PERCENT = 2.0  # percent of the points beyond each side of the first box
-_SIZE_SHARES = np.linspace(1.0, 0.2, 33)  # sizes of the first box that are tried, largest first
+_SIZE_SHARES = np.linspace(1.0, 0.2, 33)  # shares of the size of the first box that are tried
 _STEPS = 50  # steps of the number fields in a median depth
 
 
@@ -30,24 +30,24 @@ class ClippingBox:
     def __init__(
         self,
         server: "ViserServer",
-        controls: Controls,  # dragging a handle changes their numbers
+        controls: Controls,  # a handle that is dragged changes their numbers
         scene: ViewerScene,
     ) -> None:
         self._server, self._scene = server, scene
-        self._is_on, self._corners = controls.box, (controls.box_low, controls.box_high)
+        self._switch, self._corners = controls.box, (controls.box_low, controls.box_high)
         self._handles: list[Any] = []
-        self._dragged_to: list[tuple[float, ...]] = [(), ()]
+        self._drag_positions: list[tuple[float, ...]] = [(), ()]
         self._decimals = 3
 
     @property
     def ends(self) -> Box | None:
         """Least and greatest coordinates, (3,) each; None if the box is off."""
-        if not self._is_on.value:
+        if not self._switch.value:
             return None
         corners = np.array([corner.value for corner in self._corners], np.float64)
         return corners.min(axis=0), corners.max(axis=0)
 
-    def begin_around(self, points: FrameCloud, frame: ResultFrame) -> None:
+    def fit(self, points: FrameCloud, frame: ResultFrame) -> None:
         """Put the first box around points of a frame, with both handles visible."""
         depth, pose = self._scene.depth, self._scene.pose_of(frame.number)
         step = float(f"{depth / _STEPS:.0e}")
@@ -60,10 +60,10 @@ class ClippingBox:
         else:
             ends = pose[:3, 3] + depth * pose[:3, 2] + np.array([[-depth], [depth]])
         viewpoint, _ = self._scene.overview(frame, points)
-        middle, half = ends.mean(axis=0), np.diff(ends, axis=0)[0] / 2
+        middle, half_size = ends.mean(axis=0), np.diff(ends, axis=0)[0] / 2
         for share in _SIZE_SHARES:
-            ends = middle + share * np.stack([-half, half])
-            if in_sight(ends, viewpoint).all():
+            ends = middle + share * np.stack([-half_size, half_size])
+            if are_visible(ends, viewpoint).all():
                 break
         for corner, end in zip(self._corners, ends, strict=True):
             corner.step, corner.precision = step, self._decimals
@@ -78,17 +78,17 @@ class ClippingBox:
     def show(self) -> None:
         """Show the edges and handles of the box, if it is on."""
         self._scene.show_box(self.ends)
-        if not self._is_on.value:
+        if not self._switch.value:
             self.remove_handles()
             return
         if not self._handles:
-            self._handles = [self._handle(k) for k in range(2)]
+            self._handles = [self._make_handle(k) for k in range(2)]
         for k, (handle, corner) in enumerate(zip(self._handles, self._corners, strict=True)):
             # A handle that is being dragged is already ahead of the number field.
-            if tuple(corner.value) != self._dragged_to[k]:
+            if tuple(corner.value) != self._drag_positions[k]:
                 handle.position = corner.value
 
-    def _handle(self, k: int) -> Any:
+    def _make_handle(self, k: int) -> Any:
         """Return arrows that drag a corner."""
         handle = self._server.scene.add_transform_controls(
             f"/handles/corner{k}",
@@ -101,5 +101,5 @@ class ClippingBox:
         return handle
 
     def _drag(self, k: int, position: NDArray[np.float64]) -> None:
-        self._dragged_to[k] = tuple(round(float(part), self._decimals) for part in position)
-        self._corners[k].value = self._dragged_to[k]
+        self._drag_positions[k] = tuple(round(float(part), self._decimals) for part in position)
+        self._corners[k].value = self._drag_positions[k]

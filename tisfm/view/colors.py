@@ -32,7 +32,7 @@ _RAMPS: dict[str, Literal["depth", "confidence", "error"]] = {
     "confidence": "confidence",
     "deviation": "error",
 }
-_BAR_COLORS = 9  # of a legend, which the browser interpolates; set by hand
+_BAR_COLORS = 9  # colours of a bar, between which the browser interpolates; set by hand
 _LABEL_OPACITY = 0.75  # share of the colour of a moving object over the grey picture; set by hand
 
 
@@ -86,9 +86,11 @@ def legend_of_result(
     labels: set[int],  # visible labels, for a result without a list of moving objects
 ) -> Legend | None:
     """Return the legend of a quantity of a result; None for the colours of the image."""
-    labels_shown = tuple(one.id for one in result.objects) or tuple(sorted(labels))
+    legend_labels = tuple(moving_object.id for moving_object in result.objects) or tuple(
+        sorted(labels)
+    )
     unit = result.unit if result.has_one_scale else "harmonic mean depths of the frame"
-    return legend(quantity, ranges, unit, labels_shown)
+    return legend(quantity, ranges, unit, legend_labels)
 
 
 def object_labels(frame: ResultFrame) -> set[int]:
@@ -131,9 +133,9 @@ def ranges_of(frames: Sequence[ResultFrame], *, with_flow: bool = True) -> Range
     return Ranges(inverse_depth=_median(depths), flow=_median(lengths))
 
 
-def are_different(one: Ranges, other: Ranges, factor: float) -> bool:
+def are_different(ranges0: Ranges, ranges1: Ranges, factor: float) -> bool:
     """Return whether depth or motion ranges differ by more than a factor."""
-    pairs = (one.inverse_depth, other.inverse_depth), (one.flow, other.flow)
+    pairs = (ranges0.inverse_depth, ranges1.inverse_depth), (ranges0.flow, ranges1.flow)
     return any(max(pair) > factor * min(pair) for pair in pairs)
 
 
@@ -156,7 +158,7 @@ def _median(values: list[float]) -> float:
 
 PictureKind = Literal["frame", "depth", "flow", "anaglyph", "confidence", "deviation", "object"]
 KINDS: tuple[PictureKind, ...] = get_args(PictureKind)
-_CROSS_COLOR = (230, 159, 0)  # colour of the mark of a pixel
+_CROSS_COLOR = (230, 159, 0)  # of the cross at a marked pixel
 
 
 def picture_of(
@@ -165,7 +167,7 @@ def picture_of(
     ranges: Ranges,
     *,
     width: int,  # largest width, px
-    marked: tuple[int, int] | None = None,  # row and column of the pixel to mark by a cross
+    marked_pixel: tuple[int, int] | None = None,  # row and column of the pixel to mark by a cross
 ) -> NDArray[np.uint8]:
     """Return a picture of a frame, (h, w, 3) uint8, of a limited width.
 
@@ -182,9 +184,9 @@ def picture_of(
         )
         picture = enlarged
     picture = np.ascontiguousarray(picture)
-    if marked is not None:
+    if marked_pixel is not None:
         scale = picture.shape[1] / original_width
-        center = (int((marked[1] + 0.5) * scale), int((marked[0] + 0.5) * scale))
+        center = (int((marked_pixel[1] + 0.5) * scale), int((marked_pixel[0] + 0.5) * scale))
         picture = picture.copy()
         for color, thickness in (((0, 0, 0), 4), (_CROSS_COLOR, 2)):
             cv2.drawMarker(picture, center, color, cv2.MARKER_CROSS, 17, thickness)

@@ -12,11 +12,11 @@ from tisfm.view.colors import KINDS, QUANTITIES
 if TYPE_CHECKING:
     from viser import ViserServer
 
-NOT_FUSED = "nothing"  # choice of the control `fused`
-ANY_DEVIATION = 100.0  # percent: end of the slider, where no point is left out
+NOT_FUSED = "nothing"  # choice of the control `fused`: no fused scene
+ANY_DEVIATION = 100.0  # percent: end of the slider, where every point is shown
 _SETTINGS = (
-    "speed", "follow", "shape", "size", "most", "min_confidence", "max_deviation", "hidden",
-    "path", "frusta", "pictures", "objects", "measure",
+    "speed", "follow", "shape", "size", "max_thousands", "min_confidence", "max_deviation",
+    "with_hidden_points", "path", "frusta", "pictures", "objects", "measure",
 )  # fmt: skip
 
 
@@ -34,10 +34,10 @@ class Controls:
     legend: Any
     shape: Any
     size: Any
-    most: Any
+    max_thousands: Any
     min_confidence: Any
     max_deviation: Any
-    hidden: Any
+    with_hidden_points: Any
     fused: Any
     fused_note: Any
     with_frame: Any
@@ -61,12 +61,12 @@ class Controls:
     reading: Any
 
     @property
-    def redrawing(self) -> tuple[Any, ...]:
-        """Controls whose change redraws the frame, besides the slider."""
+    def redraw_controls(self) -> tuple[Any, ...]:
+        """Controls, besides the slider, that redraw the frame when they change."""
         return (
-            self.color, self.shape, self.size, self.most, self.min_confidence,
-            self.max_deviation, self.hidden, self.follow, self.box, self.box_low, self.box_high,
-            self.fused, self.with_frame,
+            self.color, self.shape, self.size, self.max_thousands, self.min_confidence,
+            self.max_deviation, self.with_hidden_points, self.follow, self.box, self.box_low,
+            self.box_high, self.fused, self.with_frame,
             *self.kinds,
         )  # fmt: skip
 
@@ -77,7 +77,7 @@ def features_of(result: ResultFrames) -> tuple[object, ...]:
 
 
 def copy_settings(source: Controls, target: Controls) -> None:
-    """Give controls the values of earlier controls, as far as they have these choices."""
+    """Copy the values of earlier controls to new controls that have the same choices."""
     for name in _SETTINGS:
         getattr(target, name).value = getattr(source, name).value
     pairs = zip((source.color, *source.kinds), (target.color, *target.kinds), strict=True)
@@ -86,7 +86,7 @@ def copy_settings(source: Controls, target: Controls) -> None:
             control.value = earlier.value
 
 
-def build_controls(server: "ViserServer", result: ResultFrames, *, most_points: int) -> Controls:
+def build_controls(server: "ViserServer", result: ResultFrames, *, max_points: int) -> Controls:
     """Build the controls: a panel for the scene at the right, and pictures at the left."""
     gui = server.gui
     gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
@@ -111,8 +111,8 @@ def build_controls(server: "ViserServer", result: ResultFrames, *, most_points: 
         handles["legend"] = gui.add_html("")
         handles["shape"] = gui.add_dropdown("Shape", ("points", "surface"), initial_value="points")
         handles["size"] = gui.add_slider("Size", min=0.5, max=4, step=0.1, initial_value=1.2)
-        thousands = max(1, round(most_points / 1000))
-        handles["most"] = gui.add_slider(
+        thousands = max(1, round(max_points / 1000))
+        handles["max_thousands"] = gui.add_slider(
             "Thousands, at most", min=1, max=max(500, thousands), step=1, initial_value=thousands
         )
         handles["min_confidence"] = gui.add_slider(
@@ -131,7 +131,7 @@ def build_controls(server: "ViserServer", result: ResultFrames, *, most_points: 
             initial_value=ANY_DEVIATION,
             visible="deviation" in result.quantities,
         )
-        handles["hidden"] = gui.add_checkbox(
+        handles["with_hidden_points"] = gui.add_checkbox(
             "Hidden in the next frame", True, visible="confidence" in result.quantities
         )
     with gui.add_folder("Whole scene", expand_by_default=False, visible=result.can_fuse):

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 # Set by hand.
 _MAX_FILM_FRAMES = 300
 FILM_SIZE = (540, 960)  # rows and columns, px
-_SWING_ANGLE = 0.15  # rad: half the angle of a film around frames without a common scale
+_SWING_ANGLE = 0.15  # rad, to either side, in a film of frames without a common scale
 _TIMEOUT = 120.0  # s, for a browser to draw a picture
-_MAX_STATIC_FRAMES = 120  # of a page that plays by itself
-_MAX_STATIC_POINTS = 20_000  # of each of its frames
+_MAX_STATIC_FRAMES = 120  # frames of a page that plays by itself
+_MAX_STATIC_POINTS = 20_000  # points of each frame of such a page
 
 
 def save_screenshot(page: "ViewerPage", client: "ClientHandle") -> None:
@@ -59,7 +59,7 @@ def save_film(page: "ViewerPage", client: "ClientHandle") -> None:
     check_video()
     count = len(page.result.names)
     numbers = np.unique(np.linspace(0, count - 1, min(count, _MAX_FILM_FRAMES)).astype(int))
-    shown_number, depth, unread = page.number, page.scene.depth, list[str]()
+    current_number, depth, unread_frames = page.number, page.scene.depth, list[str]()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "film.mp4")
         try:
@@ -67,7 +67,7 @@ def save_film(page: "ViewerPage", client: "ClientHandle") -> None:
                 for k, number in enumerate(map(int, numbers)):
                     set_html(page.controls.progress, progress_html(k + 1, len(numbers)))
                     if page.show(number) is None:
-                        unread.append(f"{page.result.names[number]}: {page.fault}")
+                        unread_frames.append(f"{page.result.names[number]}: {page.fault}")
                         continue
                     pose = pose_behind(page.scene.pose_of(number), depth)
                     if not page.result.has_one_scale:
@@ -75,12 +75,12 @@ def save_film(page: "ViewerPage", client: "ClientHandle") -> None:
                             pose, depth, _SWING_ANGLE * np.sin(2 * np.pi * k / len(numbers))
                         )
                     film.add(_render_view(client, pose))
-                if len(unread) == len(numbers):
-                    raise InputError(f"no frame can be read: {unread[0]}")
+                if len(unread_frames) == len(numbers):
+                    raise InputError(f"no frame can be read: {unread_frames[0]}")
         finally:
-            page.show(max(shown_number, 0))
+            page.show(max(current_number, 0))
         client.send_file_download("fly-through.mp4", path.read_bytes(), save_immediately=True)
-    _note_unread(page, client, "The film is not complete", unread)
+    _note_unread(page, client, "The film is not complete", unread_frames)
 
 
 def save_static(page: "ViewerPage", client: "ClientHandle") -> None:
@@ -90,7 +90,7 @@ def save_static(page: "ViewerPage", client: "ClientHandle") -> None:
         quantity=page.controls.color.value,
         ranges=page.ranges,
         points=page.point_filter(_MAX_STATIC_POINTS),
-        most_frames=_MAX_STATIC_FRAMES,
+        max_frames=_MAX_STATIC_FRAMES,
         frames_per_second=page.controls.speed.value,
         size=page.controls.size.value,
     )
@@ -105,12 +105,14 @@ def notify(page: "ViewerPage", client: "ClientHandle", title: str, text: str) ->
 
 
 def _note_unread(
-    page: "ViewerPage", client: "ClientHandle", title: str, unread: Sequence[str]
+    page: "ViewerPage", client: "ClientHandle", title: str, unread_frames: Sequence[str]
 ) -> None:
     """Note in a browser which frames were left out."""
-    if unread:
-        frames = "1 frame cannot" if len(unread) == 1 else f"{len(unread)} frames cannot"
-        notify(page, client, title, f"{frames} be read: {unread[0]}")
+    if unread_frames:
+        frames = (
+            "1 frame cannot" if len(unread_frames) == 1 else f"{len(unread_frames)} frames cannot"
+        )
+        notify(page, client, title, f"{frames} be read: {unread_frames[0]}")
 
 
 def _render_view(client: "ClientHandle", pose: NDArray[np.float64]) -> NDArray[np.uint8]:
@@ -136,5 +138,5 @@ def _swing_pose(pose: NDArray[np.float64], depth: float, angle: float) -> NDArra
     )
     forward, backward = np.eye(4), np.eye(4)
     forward[2, 3], backward[2, 3] = depth, -depth
-    moved: NDArray[np.float64] = pose @ forward @ rotation @ backward
-    return moved
+    swung_pose: NDArray[np.float64] = pose @ forward @ rotation @ backward
+    return swung_pose

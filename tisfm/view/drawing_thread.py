@@ -1,4 +1,4 @@
-"""The thread that draws a page: coarse right after a change, in full when changes stop."""
+"""The thread that draws a page: coarsely right after a change, in full when changes stop."""
 
 import contextlib
 import threading
@@ -10,7 +10,7 @@ from typing import Protocol
 
 
 class Playback:
-    """Steps through frames at a rate; frames that there is no time for are skipped."""
+    """Steps through frames at a rate, and skips frames if drawing is slower."""
 
     def __init__(self) -> None:
         self._start: tuple[float, int] | None = None  # time, s, and number of the first frame
@@ -29,7 +29,7 @@ class Playback:
         if self.is_on:
             self._start = time.monotonic(), number
 
-    def due(self, frames_per_second: float, count: int) -> int | None:
+    def due_frame(self, frames_per_second: float, count: int) -> int | None:
         """Return the number of the frame that is due, of `count` in a loop; None if stopped."""
         if self._start is None:
             return None
@@ -38,9 +38,9 @@ class Playback:
 
 
 _FULL_DRAWING_DELAY = 0.25  # s without a change before everything is drawn; set by hand
-_BROWSER_CHECK_INTERVAL = 0.05  # s between looks for the first browser
+_BROWSER_CHECK_INTERVAL = 0.05  # s between checks for the first browser
 _FIRST_PICTURE_TIME = 1.0  # s that a browser gets for its first picture
-_FOLDER_CHECK_INTERVAL = 1.0  # s between looks at the folder of the result
+_FOLDER_CHECK_INTERVAL = 1.0  # s between checks of the folder of the result
 _THUMBNAIL_PAUSE = 0.02  # s between thumbnails, so that changes are noticed in time
 
 
@@ -80,13 +80,13 @@ class DrawingThread:
         page: DrawnPage,
         *,
         # time, s, in which only the first coarse picture is drawn, unless a browser connects
-        patience: float,
+        browser_wait: float,
     ) -> None:
-        self._page, self._patience = page, patience
+        self._page, self._browser_wait = page, browser_wait
         self._jobs: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._wake, self._stopping = threading.Event(), threading.Event()
-        self._is_stale, self._is_coarse, self._changed_at = False, True, 0.0
-        self._watched_at = time.monotonic()
+        self._is_stale, self._is_coarse, self._change_time = False, True, 0.0
+        self._folder_check_time = time.monotonic()
         self._thread = threading.Thread(target=self._run, name="tisfm-view", daemon=True)
 
     def start(self) -> None:
@@ -134,11 +134,11 @@ class DrawingThread:
 
     def _await_browser(self) -> None:
         """Wait, so that a browser has the processor until its first picture, or a request comes."""
-        end = time.monotonic() + self._patience
+        end = time.monotonic() + self._browser_wait
         while time.monotonic() < end and not self._page.has_browser():
             if self._wake.wait(_BROWSER_CHECK_INTERVAL):
                 return
-        if self._patience > 0:
+        if self._browser_wait > 0:
             self._wake.wait(_FIRST_PICTURE_TIME)
 
     def _step(self) -> None:
@@ -150,15 +150,15 @@ class DrawingThread:
             self._is_stale = True
         now = time.monotonic()
         if self._is_stale:
-            self._is_stale, self._is_coarse, self._changed_at = False, True, now
+            self._is_stale, self._is_coarse, self._change_time = False, True, now
             self._page.draw(coarse=True)
-        elif self._is_coarse and now - self._changed_at > _FULL_DRAWING_DELAY:
+        elif self._is_coarse and now - self._change_time > _FULL_DRAWING_DELAY:
             self._is_coarse = False
             self._page.draw(coarse=False)
         elif self._page.seconds_per_frame() is None and self._page.has_missing_thumbnails():
             self._page.add_thumbnail()
-        if now - self._watched_at > _FOLDER_CHECK_INTERVAL:
-            self._watched_at = now
+        if now - self._folder_check_time > _FOLDER_CHECK_INTERVAL:
+            self._folder_check_time = now
             self._page.watch_folder()
 
     def _pause(self) -> float:

@@ -24,7 +24,7 @@ class PointFilter:
     max_deviation: float = float("inf")
     # ((3,), (3,)) or None: least and greatest coordinates, in the world of the scene
     box: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
-    most_points: int = 200_000  # limit of the points: every n-th row and column is taken
+    max_points: int = 200_000  # limit of the points; beyond it, every n-th row and column is taken
     with_hidden: bool = True  # whether pixels pass that are not visible in the next frame
 
 
@@ -52,7 +52,7 @@ def frame_cloud(
 ) -> FrameCloud:
     """Return the points of a frame."""
     is_kept = _passing_pixels(frame, points)
-    step = _grid_step(int(is_kept.sum()), points.most_points)
+    step = _grid_step(int(is_kept.sum()), points.max_points)
     rows, columns = np.nonzero(is_kept[::step, ::step])
     rows, columns = step * rows, step * columns
     positions = _positions(frame, rows, columns)

@@ -12,7 +12,7 @@ from tisfm.view.controls import NOT_FUSED, Controls
 from tisfm.view.html_texts import note_html, set_html
 from tisfm.view.scene import ViewerScene
 
-Key = tuple[FusedKind, int]
+FusedKey = tuple[FusedKind, int]
 
 
 class FusedLayer:
@@ -32,7 +32,7 @@ class FusedLayer:
             schedule,
         )
         self._lock = threading.Lock()
-        self._requested: Key | None = None
+        self._requested: FusedKey | None = None
         self._fused: FusedScene | None = None
         self._drawn_state: object = None
 
@@ -56,11 +56,11 @@ class FusedLayer:
                 target=self._make, args=arguments, name="tisfm-view-fuse", daemon=True
             ).start()
         ends = None if box is None else tuple(np.concatenate(box))
-        drawn = self._requested, self._fused is not None, ends, size
-        if drawn != self._drawn_state:
-            self._drawn_state = drawn
-            shown = None if self._fused is None else clip_to_box(self._fused, box)
-            self._scene.show_fused(shown, size=size)
+        state = self._requested, self._fused is not None, ends, size
+        if state != self._drawn_state:
+            self._drawn_state = state
+            clipped = None if self._fused is None else clip_to_box(self._fused, box)
+            self._scene.show_fused(clipped, size=size)
 
     def clear(self) -> None:
         """Show nothing, and make the next scene from the beginning."""
@@ -69,7 +69,7 @@ class FusedLayer:
             self._scene.show_fused(None, size=1.0)
             self._note("")
 
-    def _make(self, kind: FusedKind, number: int, key: Key) -> None:
+    def _make(self, kind: FusedKind, number: int, key: FusedKey) -> None:
         """Make a scene, and give it to the drawing thread. Runs in a thread of its own."""
         with self._lock:
             if key != self._requested:
@@ -82,7 +82,7 @@ class FusedLayer:
                 text = " ".join(str(error).split())
         self._schedule(lambda: self._set(key, fused, text))
 
-    def _set(self, key: Key, fused: FusedScene | None, text: str) -> None:
+    def _set(self, key: FusedKey, fused: FusedScene | None, text: str) -> None:
         """Show a scene, unless another one is requested by now."""
         if key == self._requested:
             self._fused = fused

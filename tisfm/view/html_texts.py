@@ -130,11 +130,11 @@ def _vector(values: Iterable[float] | None, deviations: Iterable[float] | None, 
 def _with_deviation(values: Iterable[float], deviations: Iterable[float | None] | None) -> str:
     values = list(values)
     known_deviations = [None] * len(values) if deviations is None else list(deviations)
-    shown = [
+    texts = [
         f"{value:.4g}" if deviation is None else f"{value:.4g} ± {deviation:.2g}"
         for value, deviation in zip(values, known_deviations, strict=True)
     ]
-    return shown[0] if len(shown) == 1 else f"({', '.join(shown)})"
+    return texts[0] if len(texts) == 1 else f"({', '.join(texts)})"
 
 
 def _text(line: str) -> Markup:

@@ -36,9 +36,8 @@ if TYPE_CHECKING:
 
 # Set by hand.
 COARSE_POINTS = 15_000  # points of a frame right after a change
-_MIN_GROWTH = (
-    1.2  # ratio of frame counts from which path and ranges of a growing result are renewed
-)
+# ratio of frame counts from which path and ranges of a growing result are computed again
+_MIN_GROWTH = 1.2
 _MAX_RANGE_RATIO = 1.25  # ratio of ranges up to which colours stay as they are
 _MAX_SCALE_RATIO = 1.5  # ratio of scene depths from which browsers get a new viewpoint
 _PICTURE_WIDTH = 420  # px, of pictures beside the scene
@@ -59,10 +58,10 @@ class ViewerPage:
         host: str = "127.0.0.1",  # address of the server
         port: int = 8080,  # first port that is tried, 0 for any
         number: int = 0,  # frame that is shown first
-        most_points: int = 200_000,  # initial limit of the points of a frame
+        max_points: int = 200_000,  # initial limit of the points of a frame
         max_bytes: int = MAX_BYTES,  # limit of the frames in memory
         # time, s, in which only the first coarse picture is drawn, unless a browser connects
-        patience: float = 0.0,
+        browser_wait: float = 0.0,
         # a running server to take over, in place of one at `host` and `port`
         server: "ViserServer | None" = None,
     ) -> None:
@@ -74,22 +73,22 @@ class ViewerPage:
         self.server = start_server(host, port) if server is None else server
         self.scene = ViewerScene(self.server, result)
         self.browsers = Browsers(
-            self.server, self.scene, is_followed=lambda: self.controls.follow.value
+            self.server, self.scene, is_following=lambda: self.controls.follow.value
         )
         self.playback = Playback()
-        self.thread = DrawingThread(self, patience=patience)
-        self._drawn_path: tuple[int, bool] | None = None  # piece, and whether seen from inside
-        # frames when path, ranges were last renewed
+        self.thread = DrawingThread(self, browser_wait=browser_wait)
+        self._drawn_path: tuple[int, bool] | None = None  # piece, and whether browsers follow
+        # numbers of frames when the path and the ranges were last computed
         self._path_frame_count = self._range_frame_count = 0
         self._missing_thumbnails: list[int] = []
         if server is not None:
             server.gui.reset()
-        self._build_controls(most_points)
+        self._build_controls(max_points)
         self._show_first(number)
-        self.server.scene.on_click()(lambda event: self._clicked(event))
-        self.server.on_client_connect(self.browsers.welcome)
+        self.server.scene.on_click()(lambda event: self._on_click(event))
+        self.server.on_client_connect(self.browsers.add)
         self.draw(coarse=True)
-        self.browsers.move_all_to_overview()  # those of a server that was taken over
+        self.browsers.move_all_to_overview()  # browsers of a server that was taken over
         self.thread.start()
 
     @property
@@ -106,13 +105,13 @@ class ViewerPage:
         """Return the filter that the controls choose, with at most `max_points` points."""
         controls = self.controls
         deviation = controls.max_deviation.value
-        limit = 1000 * int(controls.most.value)
+        limit = 1000 * int(controls.max_thousands.value)
         return PointFilter(
             min_confidence=controls.min_confidence.value,
             max_deviation=np.inf if deviation >= ANY_DEVIATION else deviation / 100,
             box=self.box.ends,
-            most_points=limit if max_points is None else min(max_points, limit),
-            with_hidden=controls.hidden.value,
+            max_points=limit if max_points is None else min(max_points, limit),
+            with_hidden=controls.with_hidden_points.value,
         )
 
     def show(self, number: int, max_points: int | None = None) -> FrameCloud | None:
@@ -159,8 +158,8 @@ class ViewerPage:
         """Show the frame that the slider is at, with its texts and pictures."""
         number = min(int(self.controls.frame.value), len(self.result.names) - 1)
         is_new_frame = number != self.number
-        if is_new_frame and self.marks.measured and not self._shares_scale(number):
-            self.marks.clear_measured()
+        if is_new_frame and self.marks.measured_points and not self._shares_scale(number):
+            self.marks.clear_measured_points()
         self.show(number, COARSE_POINTS if coarse else None)
         if is_new_frame:
             self._show_status()
@@ -173,7 +172,7 @@ class ViewerPage:
 
     def advance(self) -> bool:
         """Move the slider to the frame that is due; return whether it has moved."""
-        number = self.playback.due(self.controls.speed.value, len(self.result.names))
+        number = self.playback.due_frame(self.controls.speed.value, len(self.result.names))
         if number is None or number == int(self.controls.frame.value):
             return False
         self.controls.frame.value = number
@@ -205,7 +204,7 @@ class ViewerPage:
         name, pose = self.result.names[number], self.scene.pose_of(number)
         try:
             change = self.result.refresh()
-        except (OSError, ValueError):  # it is being replaced, or gone: the page stays as it is
+        except (OSError, ValueError):  # the result is being replaced, or gone: the page stays
             return
         if change is None:
             return
@@ -221,10 +220,10 @@ class ViewerPage:
 
     # The result: at the beginning, and when it grows or is replaced.
 
-    def _build_controls(self, most_points: int) -> None:
+    def _build_controls(self, max_points: int) -> None:
         """Build the controls for the result, and the parts of the page that depend on them."""
         with self.server.atomic():
-            self.controls = build_controls(self.server, self.result, most_points=most_points)
+            self.controls = build_controls(self.server, self.result, max_points=max_points)
         self.marks = Marks(self.controls, self.scene, self.result)
         self.box = ClippingBox(self.server, self.controls, self.scene)
         self.fused = FusedLayer(
@@ -238,28 +237,28 @@ class ViewerPage:
         first_frame = self._read(number)
         self.ranges = ranges_of([first_frame] if first_frame else [], with_flow=False)
         self._range_frame_count = 0
-        self.scene.begin(1.0 if first_frame is None else first_frame.median_depth)
+        self.scene.set_depth(1.0 if first_frame is None else first_frame.median_depth)
         if first_frame is not None:
             points = self._points_of(first_frame, COARSE_POINTS)
             self.scene.set_first_viewpoint(first_frame, points)
             if not self.controls.box.value:
-                self.box.begin_around(points, first_frame)
+                self.box.fit(points, first_frame)
         self.controls.frame.value = number
         self.thread.put(self._renew_ranges)
 
     def _replace_result(self, number: int) -> None:
-        """Show another result; controls that it also has keep their settings."""
+        """Show another result; controls that the new page also has keep their settings."""
         depth = self.scene.depth
         self.cache.clear()
         self.fused.clear()
-        self.marks.clear_measured()
+        self.marks.clear_measured_points()
         self.number, self._drawn_path = -1, None
         if features_of(self.result) != self._features:
             earlier, pixel = self.controls, self.marks.pixel
             self.box.remove_handles()
             with self.server.atomic():
                 self.server.gui.reset()
-                self._build_controls(earlier.most.value * 1000)
+                self._build_controls(earlier.max_thousands.value * 1000)
                 copy_settings(earlier, self.controls)
             self.marks.pixel = pixel
             self.controls.play.label = earlier.play.label
@@ -339,17 +338,17 @@ class ViewerPage:
 
     def _connect_controls(self) -> None:
         controls = self.controls
-        for control in controls.redrawing:
+        for control in controls.redraw_controls:
             control.on_update(lambda _: self._redraw())
-        controls.frame.on_update(self._slider_moved)
+        controls.frame.on_update(self._on_slider_change)
         for control in (controls.path, controls.frusta, controls.objects, controls.pictures):
             control.on_update(lambda _: self._redraw(path=True))
         controls.play.on_click(lambda _: self._toggle_playback())
         controls.go.on_click(lambda event: self.browsers.move_to_overview(event.client))
         controls.speed.on_update(lambda _: self._restart_playback())
-        controls.pixel.on_update(lambda event: self._pixel_entered(event.client is not None))
+        controls.pixel.on_update(lambda event: self._on_pixel_change(event.client is not None))
         for control in (controls.measure.on_update, controls.clear.on_click):
-            control(lambda _: self.thread.put(lambda: self.marks.clear_measured()))
+            control(lambda _: self.thread.put(lambda: self.marks.clear_measured_points()))
         controls.screenshot.on_click(lambda event: self._save(save_screenshot, event.client))
         controls.film.on_click(lambda event: self._save(save_film, event.client))
         controls.static.on_click(lambda event: self._save(save_static, event.client))
@@ -362,7 +361,7 @@ class ViewerPage:
     def _save(
         self, save: "Callable[[ViewerPage, ClientHandle], None]", client: "ClientHandle"
     ) -> None:
-        """Have a file saved for a browser; a failure is shown there."""
+        """Let the drawing thread save a file for a browser; the browser shows a failure."""
 
         def job() -> None:
             try:
@@ -381,18 +380,18 @@ class ViewerPage:
     def _restart_playback(self) -> None:
         self.playback.restart(int(self.controls.frame.value))
 
-    def _slider_moved(self, event: Any) -> None:
+    def _on_slider_change(self, event: Any) -> None:
         """Draw another frame; if a user moved the slider, playing goes on from there."""
         if int(self.controls.frame.value) != self.number:
             self._redraw()
         if event.client is not None:
             self._restart_playback()
 
-    def _clicked(self, event: Any) -> None:
+    def _on_click(self, event: Any) -> None:
         origin, direction = np.array(event.ray_origin), np.array(event.ray_direction)
         self.thread.put(lambda: self.pick(origin, direction))
 
-    def _pixel_entered(self, by_user: bool) -> None:
+    def _on_pixel_change(self, by_user: bool) -> None:
         if by_user:
             column, row = (int(part) for part in self.controls.pixel.value)
             self.thread.put(lambda: self.mark(row, column))
@@ -400,19 +399,19 @@ class ViewerPage:
     # Path, texts and pictures around the points.
 
     def _show_path(self, number: int) -> None:
-        """Show moving objects, and path and frusta if they are not those of the last drawing."""
+        """Show moving objects, and path and frusta if they differ from the last drawing."""
         controls = self.controls
         self.scene.show_objects(number, visible=controls.objects.value)
-        from_inside = controls.follow.value  # path and frusta would be in the way
-        wanted = int(self.result.piece[number]), from_inside
-        if self.frame is None or wanted == self._drawn_path:
+        is_following = controls.follow.value  # path and frusta would hide the points
+        path_state = int(self.result.piece[number]), is_following
+        if self.frame is None or path_state == self._drawn_path:
             return
-        self._drawn_path, self._path_frame_count = wanted, len(self.result.names)
+        self._drawn_path, self._path_frame_count = path_state, len(self.result.names)
         self.scene.show_path(
             number,
             self.frame,
-            path=controls.path.value and not from_inside,
-            frusta=controls.frusta.value and not from_inside,
+            path=controls.path.value and not is_following,
+            frusta=controls.frusta.value and not is_following,
         )
         self._missing_thumbnails = list(self.scene.frusta) if controls.pictures.value else []
 
@@ -429,7 +428,7 @@ class ViewerPage:
                     kind.value,
                     self.ranges,
                     width=_PICTURE_WIDTH,
-                    marked=self.marks.pixel,
+                    marked_pixel=self.marks.pixel,
                 )
 
     def _show_legend(self) -> None:

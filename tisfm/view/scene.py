@@ -27,7 +27,7 @@ _THUMBNAIL_WIDTH = 96  # px, of pictures in frusta along the path
 _PICTURE_WIDTH = 480  # px, of the picture in the frustum of the frame
 _MAX_FRUSTUM_DIAGONAL = 0.13  # in median depths
 _MAX_FRUSTUM_LENGTH = 0.16  # in median depths
-_PATH_FRUSTUM = 0.35  # size of frusta along the path, over the frustum of the frame
+_PATH_FRUSTUM_RATIO = 0.35  # size of frusta along the path over the size of the frame's frustum
 _MIN_FRUSTUM_DISTANCE = 0.6  # between frusta along the path, over their length
 _MARK_RADIUS = 0.008  # in median depths
 _BEHIND_OFFSET = (0.12, -0.22, -0.5)  # viewpoint of a film from the camera, in median depths
@@ -46,19 +46,19 @@ class ViewerScene:
     depth : float
         Median depth of the scene: sizes of frusta and marks are in proportion to it.
     up : (3,) float64
-        Upward direction of the world, as cameras are usually held.
+        Upward direction of the world: cameras are usually held upright.
     """
 
     def __init__(self, server: "ViserServer", result: ResultFrames) -> None:
         self._server, self._result = server, result
         self._nodes: dict[str, Any] = {}
         self.frusta: dict[int, Any] = {}
-        self.begin(1.0)
+        self.set_depth(1.0)
         # All nodes have colours of their own: lights would cost time and change nothing.
         server.scene.configure_default_lights(cast_shadow=False)
         server.scene.configure_environment_map(None)
 
-    def begin(self, depth: float) -> None:
+    def set_depth(self, depth: float) -> None:
         """Set the median depth, and the upward direction from the poses."""
         self.depth, self.up = depth, _mean_up(self._result.poses)
         self._server.scene.set_up_direction(tuple(self.up))
@@ -192,9 +192,9 @@ class ViewerScene:
         piece = self._result.piece
         if piece[number] < 0:
             return
-        posed = np.flatnonzero(piece == piece[number])
-        centers = self._result.poses[posed, :3, 3]
-        if path and len(posed) > 1:
+        posed_frames = np.flatnonzero(piece == piece[number])
+        centers = self._result.poses[posed_frames, :3, 3]
+        if path and len(posed_frames) > 1:
             self._nodes["path"] = self._server.scene.add_line_segments(
                 "/path",
                 np.stack([centers[:-1], centers[1:]], axis=1).astype(np.float32),
@@ -202,10 +202,10 @@ class ViewerScene:
                 thickness=3.0,
                 thickness_units="screen",
             )
-        if frusta and len(posed) > 1:
+        if frusta and len(posed_frames) > 1:
             fov, aspect = field_of_view(frame)
-            length = _PATH_FRUSTUM * self.picture_distance(frame)
-            for k in posed[_spaced_indices(centers, _MIN_FRUSTUM_DISTANCE * length)]:
+            length = _PATH_FRUSTUM_RATIO * self.picture_distance(frame)
+            for k in posed_frames[_spaced_indices(centers, _MIN_FRUSTUM_DISTANCE * length)]:
                 pose = self._result.poses[k]
                 self.frusta[int(k)] = self._server.scene.add_camera_frustum(
                     f"/frusta/{k}",
@@ -226,24 +226,24 @@ class ViewerScene:
         for name in [name for name in self._nodes if name.startswith("object")]:
             self.remove(name)
         objects = self._result.objects if visible else ()
-        colors = label_colors(max((one.id for one in objects), default=0) + 1)
-        for one in objects:
-            is_known = np.isfinite(one.poses).all(axis=(1, 2))
-            is_known &= self._result.piece[list(one.frames)] == self._result.piece[number]
-            centers = one.poses[is_known, :3, 3].astype(np.float32)
+        colors = label_colors(max((moving_object.id for moving_object in objects), default=0) + 1)
+        for moving_object in objects:
+            is_known = np.isfinite(moving_object.poses).all(axis=(1, 2))
+            is_known &= self._result.piece[list(moving_object.frames)] == self._result.piece[number]
+            centers = moving_object.poses[is_known, :3, 3].astype(np.float32)
             if len(centers) > 1:
-                self._nodes[f"object{one.id}"] = self._server.scene.add_line_segments(
-                    f"/objects/{one.id}",
+                self._nodes[f"object{moving_object.id}"] = self._server.scene.add_line_segments(
+                    f"/objects/{moving_object.id}",
                     np.stack([centers[:-1], centers[1:]], axis=1),
-                    colors[one.id],
+                    colors[moving_object.id],
                     thickness=4.0,
                     thickness_units="screen",
                 )
-            if number in one.frames and is_known[one.frames.index(number)]:
-                self._nodes[f"object{one.id}here"] = self._server.scene.add_label(
-                    f"/names/{one.id}",
-                    f"object {one.id}",
-                    position=one.poses[one.frames.index(number), :3, 3],
+            if number in moving_object.frames and is_known[moving_object.frames.index(number)]:
+                self._nodes[f"object{moving_object.id}here"] = self._server.scene.add_label(
+                    f"/names/{moving_object.id}",
+                    f"object {moving_object.id}",
+                    position=moving_object.poses[moving_object.frames.index(number), :3, 3],
                 )
 
     def show_marks(self, points: list[NDArray[np.float64]], name: str) -> None:
@@ -291,7 +291,7 @@ class ViewerScene:
 
 
 def _spaced_indices(centers: NDArray[np.float64], min_distance: float) -> NDArray[np.int_]:
-    """Return the indices of positions with a frustum: a few, at least `min_distance` apart."""
+    """Return indices of positions that get a frustum, with at least `min_distance` between them."""
     candidates = np.unique(np.linspace(0, len(centers) - 1, MAX_FRUSTA).astype(int))
     chosen = [int(candidates[0])]
     for k in candidates[1:]:

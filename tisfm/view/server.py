@@ -47,8 +47,10 @@ def start_server(host: str, port: int) -> "ViserServer":
 def url_of(server: "ViserServer") -> str:
     """Return the address of a server for a browser of this computer."""
     host = server.get_host()
-    shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
-    return f"http://{f'[{shown}]' if ':' in shown else shown}:{server.get_port()}"
+    visible_host = "127.0.0.1" if host in ("0.0.0.0", "::") else host
+    return (
+        f"http://{f'[{visible_host}]' if ':' in visible_host else visible_host}:{server.get_port()}"
+    )
 
 
 def stop_server(server: "ViserServer") -> None:

@@ -27,10 +27,10 @@ class StaticPage:
 def static_page(
     result: ResultFrames,
     *,
-    quantity: Quantity,  # what points are coloured by
+    quantity: Quantity,  # gives the colours of the points
     ranges: Ranges,
-    points: PointFilter,  # which points of a frame are shown
-    most_frames: int,  # limit of the frames; a longer result is sampled evenly
+    points: PointFilter,  # selects the points of a frame
+    max_frames: int,  # limit of the frames; a longer result is sampled evenly
     frames_per_second: float,
     size: float = 1.2,  # of points, over their distance
 ) -> StaticPage:
@@ -43,10 +43,10 @@ def static_page(
     Raises ValueError if no frame can be read.
     """
     count = len(result.names)
-    numbers = np.unique(np.linspace(0, count - 1, min(count, most_frames)).astype(int))
+    numbers = np.unique(np.linspace(0, count - 1, min(count, max_frames)).astype(int))
     unread: list[str] = []
     labels: set[int] = set()
-    first: ResultFrame | None = None
+    first_frame: ResultFrame | None = None
     server = start_server("127.0.0.1", 0)
     try:
         for number in map(int, numbers):
@@ -55,27 +55,27 @@ def static_page(
             except (OSError, ValueError) as error:  # missing or damaged: other frames are shown
                 unread.append(f"{result.names[number]}: {' '.join(str(error).split())}")
                 continue
-            if first is None:
-                first, piece = frame, int(result.piece[number])
+            if first_frame is None:
+                first_frame, piece = frame, int(result.piece[number])
                 scene = ViewerScene(server, result)
-                scene.begin(frame.median_depth)
+                scene.set_depth(frame.median_depth)
                 scene.show_path(number, frame, path=True, frusta=True)
             elif result.piece[number] != piece:
                 piece = int(result.piece[number])
                 scene.show_path(number, frame, path=True, frusta=True)
             labels |= object_labels(frame)
             cloud = frame_cloud(frame, quantity, ranges, points, scene.pose_of(number))
-            if frame is first:
+            if frame is first_frame:
                 scene.set_first_viewpoint(frame, cloud)
                 recording = server.get_scene_serializer()
             scene.show_points(cloud, frame, size=size)
             scene.show_frustum(frame, visible=True)
             scene.show_objects(number, visible=True)
             recording.insert_sleep(1 / frames_per_second)
-        if first is None:
+        if first_frame is None:
             raise InputError(f"{result.folder} has no frame that can be read: {unread[0]}")
-        if piece != result.piece[first.number]:  # the page plays in a loop
-            scene.show_path(first.number, first, path=True, frusta=True)
+        if piece != result.piece[first_frame.number]:  # the page plays in a loop
+            scene.show_path(first_frame.number, first_frame, path=True, frusta=True)
         shown_count = len(numbers) - len(unread)
         text = _with_foot(
             recording.as_html(),

@@ -10,25 +10,22 @@ from tisfm.results.frame import ResultFrame
 # Set by hand.
 FOV = 0.9  # vertical field of view of browsers, rad
 USUAL_ASPECT = 0.85  # width over height of a browser's view between its panels
-_VIEW_DIRECTION = (
-    -0.13,
-    0.22,
-    1.0,
-)  # of the view in the axes of the camera: from its right and above
+# of the view in the axes of the camera: it comes from above, at the right
+_VIEW_DIRECTION = (-0.13, 0.22, 1.0)
 _MAX_DEPTH = 2.0  # in median depths: farther points may be outside the view
 _MIN_DISTANCE = 0.5  # from the viewpoint to the camera, in median depths
 _OUTSIDE_PERCENT = 2.0  # percent of the points that may be beyond each side
 _MAX_POINTS = 500  # points that the viewpoint is fitted to
 _DISTANCE_FACTOR = 1.1  # factor of the distance from one attempt to the next
-_MAX_STEPS = 40  # attempts, which multiply the distance by up to 45
-_HALVINGS = 30  # of the interval of a bisection: to 1e-9 of it
+_MAX_STEPS = 40  # attempts; together they multiply the distance by up to 45
+_HALVINGS = 30  # steps of a bisection, which leave 1e-9 of the interval
 _FILLED_SHARE = 0.9  # share of the view that points may fill
 
 
 def overview(
     # (N, 3): in the axes of the camera. Far points, and a few others, may be outside the view.
     points: NDArray[np.floating],
-    inner_points: NDArray[np.floating],  # (M, 3): further points, all of which are inside the view
+    inner_points: NDArray[np.floating],  # (M, 3): further points; all of them are inside the view
     *,
     up: ArrayLike = (0.0, -1.0, 0.0),  # (3,) array_like: upward direction in the same axes
     aspect: float = USUAL_ASPECT,  # width over height of the view
@@ -40,7 +37,7 @@ def overview(
     """
     forward = np.array(_VIEW_DIRECTION) / np.linalg.norm(_VIEW_DIRECTION)
     side = np.cross(forward, np.asarray(up, float))
-    if np.linalg.norm(side) < 1e-3:  # it looks straight up or down
+    if np.linalg.norm(side) < 1e-3:  # the camera looks straight up or down
         side = np.array((1.0, 0.0, 0.0))
     right = side / np.linalg.norm(side)
     axes = np.stack([right, np.cross(forward, right), forward], axis=1)
@@ -51,10 +48,10 @@ def overview(
     max_slope = np.tan(FOV / 2) * _FILLED_SHARE * np.array((aspect, 1.0))
     distance_behind = _MIN_DISTANCE * middle
     for _ in range(_MAX_STEPS):
-        eyes, slopes_needed = zip(
+        eyes, eye_slopes = zip(
             *(_centered_eye(local, axis, -distance_behind) for axis in (0, 1)), strict=True
         )
-        if (np.array(slopes_needed) <= max_slope).all():
+        if (np.array(eye_slopes) <= max_slope).all():
             break
         distance_behind = _DISTANCE_FACTOR * (distance_behind + middle) - middle
     pose = np.eye(4)
@@ -63,7 +60,7 @@ def overview(
     return pose, middle + distance_behind
 
 
-def in_sight(
+def are_visible(
     points: NDArray[np.floating], pose: NDArray[np.floating], aspect: float = USUAL_ASPECT
 ) -> NDArray[np.bool_]:
     """Return which points, (N, 3), are well inside the view from a pose."""
@@ -102,7 +99,7 @@ CLICK_ANGLE = 0.012  # rad between a click and a point that it hits; set by hand
 _SAME_SURFACE = 1.03  # ratio of distances up to which points are of one surface; set by hand
 
 
-def picked_point(
+def find_clicked_point(
     # origin, direction: (3,) array_like
     origin: ArrayLike,
     direction: ArrayLike,
@@ -117,12 +114,12 @@ def picked_point(
     """
     if not len(positions):
         return None
-    along = np.asarray(direction, float)
-    along = along / np.linalg.norm(along)
+    ray = np.asarray(direction, float)
+    ray = ray / np.linalg.norm(ray)
     offset = np.asarray(positions, float) - np.asarray(origin, float)
-    distance = offset @ along
+    distance = offset @ ray
     with np.errstate(divide="ignore", invalid="ignore"):
-        angle = np.linalg.norm(offset - distance[:, None] * along, axis=1) / distance
+        angle = np.linalg.norm(offset - distance[:, None] * ray, axis=1) / distance
     is_near = (distance > 0) & (angle < max_angle)
     if not is_near.any():
         return None
@@ -130,7 +127,7 @@ def picked_point(
     return int(np.argmin(np.where(is_front, angle, np.inf)))
 
 
-def picked_pixel(
+def find_clicked_pixel(
     # origin, direction: (3,) array_like, in the axes of the camera
     origin: ArrayLike,
     direction: ArrayLike,
@@ -138,18 +135,18 @@ def picked_pixel(
     distance: float,  # from the camera to the picture
 ) -> tuple[int, int, float] | None:  # (row, column, length) or None
     """Return row, column and distance of the pixel in a frustum that a ray hits."""
-    eye, along = np.asarray(origin, float), np.asarray(direction, float)
-    along = along / np.linalg.norm(along)
-    if abs(along[2]) < 1e-9:
+    eye, ray = np.asarray(origin, float), np.asarray(direction, float)
+    ray = ray / np.linalg.norm(ray)
+    if abs(ray[2]) < 1e-9:
         return None
-    length = (distance - eye[2]) / along[2]
+    length = (distance - eye[2]) / ray[2]
     if length <= 0:
         return None
-    hit = eye + length * along
+    intersection = eye + length * ray
     height, width = frame.shape
     # viser draws a frustum about its axis, through the middle of the picture.
-    column = round(hit[0] / distance * frame.camera.focal + (width - 1) / 2)
-    row = round(hit[1] / distance * frame.camera.focal + (height - 1) / 2)
+    column = round(intersection[0] / distance * frame.camera.focal + (width - 1) / 2)
+    row = round(intersection[1] / distance * frame.camera.focal + (height - 1) / 2)
     if 0 <= row < height and 0 <= column < width:
         return row, column, float(length)
     return None

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 # Set by hand.
-_FOLDER_CHECK_INTERVAL = 0.5  # s between looks at the folder
+_FOLDER_CHECK_INTERVAL = 0.5  # s between checks of the folder
 _PICTURE_PERIOD = 2.0  # s between pictures
 _LAST_MESSAGE_TIME = 0.3  # s for browsers to receive the last message
 
