@@ -134,7 +134,7 @@ class FieldOperations(TaichiSide):
             scales=problems.DATA_SCALES,
             along_line=line,
         )
-        written = list(weight_update.LINE) if line else slice(None)
+        written = list(weight_update.LINE_ENTRIES) if line else slice(None)
         return (
             run,
             lambda _: np.concatenate(

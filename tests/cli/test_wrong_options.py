@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from tests.cli.command_line import TISFM, assert_one_line
 from tisfm.checks import find_similar_word, spelling_hint
 from tisfm.cli import progress, reconstruct
-from tisfm.cli.command_line import COMMANDS, _command
+from tisfm.cli.command_line import COMMANDS, _load_command
 from tisfm.cli.options import FrameOptions
 from tisfm.cli.parsing import option_types
 from tisfm.cli.progress import TimeEstimate
@@ -81,7 +81,7 @@ def test_a_wrong_option_is_the_same_line_in_ascii(work_folder, line, encoding):
 def numbers_of(command):
     """Return the options of a command that take numbers, and how many."""
     found = {}
-    for name, kind in option_types(_command(command)[0]).items():
+    for name, kind in option_types(_load_command(command)[0]).items():
         kinds = [one for one in get_args(kind) or (kind,) if one is not type(None)]
         parts = [get_args(one) if get_origin(one) is tuple else (one,) for one in kinds]
         if get_origin(kind) is tuple:
@@ -97,7 +97,7 @@ def test_a_word_in_place_of_a_number_is_one_line(tisfm_run, command):
     """Of every option that takes numbers."""
     numeric = numbers_of(command)
     needed = {"figures": ["a", "b", "-o", "y"], "demo": [], "doctor": [], "batch": ["x"]}
-    has_output = "-o" in option_types(_command(command)[0])
+    has_output = "-o" in option_types(_load_command(command)[0])
     words = needed.get(command, ["x", "-o", "y"] if has_output else ["x"])
     for name, count in numeric.items():
         code, out, err = tisfm_run(command, *words, name, *["two"] * count)
@@ -135,7 +135,7 @@ def test_the_options_of_a_command_are_those_of_its_help(tisfm_run):
     for command in COMMANDS:
         _, out, _ = tisfm_run(command, "--help")
         of_help = set(re.findall(r"(?<=[ │,])--[a-z][a-z-]*", out))
-        types = option_types(_command(command)[0])
+        types = option_types(_load_command(command)[0])
         assert {name for name in types if name.startswith("--")} <= of_help, command
 
 

@@ -214,7 +214,7 @@ def _flow_cells(flow: np.ndarray, scene: SyntheticPair) -> tuple[str, str]:
 
 
 def _model_cells(result: Interpretation, scene: SyntheticPair) -> tuple[str, ...]:
-    """Return errors of depth, flow and motion; surfaces with one motion share one scale of depth."""
+    """Return errors of depth, flow and motion; surfaces with one motion share a depth scale."""
     _, part = np.unique(scene.motions, axis=0, return_inverse=True)
     parts = part.reshape(-1)[scene.labels]
     coverage = None

@@ -187,7 +187,7 @@ def _write_paths(path: Path, loaded: LoadedSequence, result: SequenceResult) -> 
         InputFiles(loaded.frames).refuse(file)
         make_result_folder(file.parent)
         in_piece = (result.piece == piece)[:, None, None]
-        write_tum(file, np.location(in_piece, result.poses, np.nan), times)
+        write_tum(file, np.where(in_piece, result.poses, np.nan), times)
 
 
 def _write_record(folder: Path, **record: Any) -> None:
