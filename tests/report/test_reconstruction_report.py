@@ -89,7 +89,7 @@ def test_embedded_images_stay_within_their_budget():
 
     noise = np.random.default_rng(0).integers(0, 256, (700, 900, 3), np.uint8)
     for budget in (400_000, 20_000, 4_000):
-        url = Pictures(2, budget=budget).url(noise)
+        url = Pictures(2, max_total_bytes=budget).url(noise)
         data = base64.b64decode(url.partition(",")[2])
         assert len(data) <= budget // 2
         with Image.open(io.BytesIO(data)) as image:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tisfm.report.pictures import choose_slides
-from tisfm.report.tables import MEANINGS, color_of, count_statuses, status_spans
+from tisfm.report.tables import MEANINGS, count_statuses, status_color, status_spans
 from tisfm.status import Status
 
 TRUST = Path(__file__).parents[2] / "docs" / "trust.md"
@@ -18,14 +18,14 @@ def test_every_status_has_a_meaning_and_a_colour():
     text = TRUST.read_text(encoding="utf-8").partition("## Statuses")[2].partition("\n## ")[0]
     codes = set(re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE))
     assert codes == set(MEANINGS)
-    assert all(re.fullmatch("#[0-9a-f]{6}", color_of(code)) for code in (*codes, "another"))
+    assert all(re.fullmatch("#[0-9a-f]{6}", status_color(code)) for code in (*codes, "another"))
 
 
 def test_a_status_of_another_version_is_doubtful():
     (found,) = count_statuses([Status("brand_new", "do so")], ["f0"])
     assert found.code == "brand_new" and found.advice == "do so"
     assert "doubt" in found.meaning
-    assert color_of("brand_new") != color_of("converged")
+    assert status_color("brand_new") != status_color("converged")
 
 
 def test_they_are_counted_with_the_advice_of_the_first():

@@ -10,8 +10,8 @@ from typing import Any
 
 from isal import isal_zlib
 
-_READ_SIZE = 2**20  # bytes of a file that are read at a time
-_MAX_DIFFERENCES = 4  # differences that a message names
+_READ_SIZE = 2**20  # bytes of one read operation
+_MAX_DIFFERENCES = 4  # differences in a message
 
 
 def file_checksum(path: Path) -> tuple[int, int] | None:
@@ -36,32 +36,32 @@ def files_digest(files: Iterable[Path]) -> str:
     return digest.hexdigest()[:32]
 
 
-def compare_records(before: Any, now: Any, name: str = "") -> Iterator[str]:
+def compare_records(earlier: Any, current: Any, name: str = "") -> Iterator[str]:
     """Yield a description of each difference between two records (nested dicts of JSON values)."""
-    if isinstance(before, dict) and isinstance(now, dict):
-        for key in sorted(before.keys() | now.keys()):
-            inner = f"{name}.{key}" if name else key
-            yield from compare_records(before.get(key), now.get(key), inner)
-    elif before != now:
-        yield f"{name} was {json.dumps(before)}, now {json.dumps(now)}"
+    if isinstance(earlier, dict) and isinstance(current, dict):
+        for key in sorted(earlier.keys() | current.keys()):
+            inner_name = f"{name}.{key}" if name else key
+            yield from compare_records(earlier.get(key), current.get(key), inner_name)
+    elif earlier != current:
+        yield f"{name} was {json.dumps(earlier)}, now {json.dumps(current)}"
 
 
 def summarise_differences(differences: Iterable[str]) -> str:
-    """Return the first differences as one text; an empty text if there is none."""
-    listed = list(differences)
-    more = len(listed) - _MAX_DIFFERENCES
-    return "; ".join(listed[:_MAX_DIFFERENCES] + [f"and {more} more"] * (more > 0))
+    """Return the first differences as one text; an empty text without differences."""
+    texts = list(differences)
+    further_count = len(texts) - _MAX_DIFFERENCES
+    return "; ".join(texts[:_MAX_DIFFERENCES] + [f"and {further_count} more"] * (further_count > 0))
 
 
 REPORT, TIMINGS = "report.html", "timings.csv"
 MARK = '<meta name="generator" content="tisfm">'
-_HEAD = 400  # bytes of the file in which the mark is searched
+_HEAD_SIZE = 400  # first bytes of a report, which contain the mark
 
 
 def is_report(path: Path) -> bool:
     """Return whether a file is a report that tisfm wrote."""
     try:
         with open(path, "rb") as file:
-            return path.is_file() and MARK.encode() in file.read(_HEAD)
+            return path.is_file() and MARK.encode() in file.read(_HEAD_SIZE)
     except OSError:
         return False

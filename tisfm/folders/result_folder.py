@@ -1,7 +1,7 @@
-"""Folders for results: one run at a time writes to a folder, and no result replaces an input.
+"""Folders of results: one run at a time writes to a folder, and no result replaces an input.
 
-Functions here do not follow links inside a folder for results: such a link may lead out of it. The
-folder itself may be a link.
+These functions do not follow links inside a folder of results, since such a link may lead out of
+the folder. The folder itself may be a link.
 """
 
 import contextlib
@@ -19,11 +19,11 @@ from tisfm.errors import InputError
 from tisfm.formats.atomic import TEMPORARY_PREFIX, TEMPORARY_SUFFIX, is_temporary
 
 LOCK = ".tisfm.lock"
-"""Name of the file whose lock a run holds while it writes to the folder."""
+"""Name of the lock file of a folder; a run that writes to the folder has its lock."""
 
-# `is_locked` in another process holds the lock for an instant: wait for its end.
-_LOCK_TIMEOUT = 0.2  # s; a guess
-_LOCK_POLL = 0.02  # s between two attempts; a guess
+# s: wait for the lock, since `is_locked` of another process has it for an instant; a guess
+_LOCK_TIMEOUT = 0.2
+_LOCK_POLL_INTERVAL = 0.02  # s between two attempts; a guess
 _thread_state = threading.local()  # .reentrant: folders that the thread locked as reentrant
 
 Paths = Iterable[str | os.PathLike[str]]
@@ -44,13 +44,13 @@ class InputFiles:
         self,
         files: Paths = (),  # files that do not exist are ignored
     ) -> None:
-        self._known: dict[Hashable, str] = {
+        self._file_names: dict[Hashable, str] = {
             identity: os.fspath(file) for file in files for identity in _identities(file)
         }
 
     def refuse(
         self,
-        # files that are about to be written, whether they exist or not
+        # files that a command will write; they may exist or not
         *outputs: str | os.PathLike[str],
     ) -> None:
         """Raise an error if a result would replace one of the files.
@@ -59,10 +59,10 @@ class InputFiles:
         """
         for output in outputs:
             for identity in _identities(output):
-                if identity in self._known:
+                if identity in self._file_names:
                     raise InputError(
                         f"the result {os.fspath(output)} would replace the input "
-                        f"{self._known[identity]}: give another folder with -o"
+                        f"{self._file_names[identity]}: give another folder with -o"
                     )
 
 
@@ -70,26 +70,26 @@ class InputFiles:
 def locked_folder(
     folder: str | os.PathLike[str],  # an existing folder
     *,
-    # Whether the same thread may lock the folder again within the block. Such inner blocks do
-    # nothing.
+    # whether the same thread may lock the folder again within the block; these inner blocks do
+    # nothing
     reentrant: bool = False,
 ) -> Iterator[None]:
-    """Lock a folder within the block, and remove the temporary files of runs that were killed.
+    """Lock a folder within the block, and remove the temporary files of killed runs.
 
     The operating system releases the lock when the process ends, even if it is killed.
 
-    Raises FolderInUseError: an OSError: if another run holds the lock.
+    Raises FolderInUseError, an OSError, if another run has the lock.
     """
     path = Path(folder)
     reentrant_folders: set[Path] = _thread_state.__dict__.setdefault("reentrant", set())
-    name = path.resolve()
-    if name in reentrant_folders:
+    real_path = path.resolve()
+    if real_path in reentrant_folders:
         yield
         return
     remove_link(path / LOCK)
     lock = FileLock(path / LOCK)
     try:
-        lock.acquire(timeout=_LOCK_TIMEOUT, poll_interval=_LOCK_POLL)
+        lock.acquire(timeout=_LOCK_TIMEOUT, poll_interval=_LOCK_POLL_INTERVAL)
     except Timeout:
         raise FolderInUseError(
             f"another run writes to {path}: wait until it ends, or give another folder with -o"
@@ -98,23 +98,23 @@ def locked_folder(
         yield
         return
     if reentrant:
-        reentrant_folders.add(name)
+        reentrant_folders.add(real_path)
     try:
         remove_temporaries(path)
         yield
         remove_temporaries(path)  # files of killed worker processes of this run
     finally:
-        reentrant_folders.discard(name)
+        reentrant_folders.discard(real_path)
         with contextlib.suppress(OSError):  # Windows does not remove an open file
             os.unlink(path / LOCK)
         lock.release()
 
 
 def is_locked(folder: str | os.PathLike[str]) -> bool:
-    """Return whether another run holds the lock of a folder.
+    """Return whether another run has the lock of a folder.
 
-    The lock file alone is no sign: a killed run leaves it behind. The answer is True as well if it
-    is unknown: the file system has no locks, or another user owns the file.
+    The existence of the lock file is not enough, since a killed run leaves this file. The answer is
+    also True if it is unknown: the file system has no locks, or another user owns the file.
     """
     path = Path(folder) / LOCK
     if not path.is_file():
@@ -132,9 +132,9 @@ def is_locked(folder: str | os.PathLike[str]) -> bool:
 
 @contextlib.contextmanager
 def presence_file(folder: Path) -> Iterator[Path]:
-    """Make a file that exists within the block, as a sign to other processes that this one runs.
+    """Make a file that exists within the block; it shows other processes that this process runs.
 
-    If this process is killed, its file counts as temporary: the next run removes it.
+    If this process is killed, the next run removes the file, as all temporary files.
     """
     path = folder / f"{TEMPORARY_PREFIX}{secrets.token_hex(8)}{TEMPORARY_SUFFIX}"
     path.touch()
@@ -191,7 +191,7 @@ def remove(path: Path) -> None:
 
 
 def try_to_remove(path: Path) -> None:
-    """Remove as `remove` does, but leave whatever cannot be removed."""
+    """Remove as `remove` does, but leave files that cannot be removed."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:
@@ -206,14 +206,14 @@ def remove_link(path: Path) -> None:
 
 
 def remove_temporaries(folder: Path) -> None:
-    """Remove the temporary files that killed processes left in a folder."""
+    """Remove the temporary files of killed processes in a folder."""
     for item in folder.iterdir():
         if is_temporary(item.name):
             remove(item)
 
 
 def _identities(path: str | os.PathLike[str]) -> Iterator[Hashable]:
-    """Yield the identities of a file: its inode, if it exists, and its real path."""
+    """Yield the identities of a file: its inode, if the file exists, and its real path."""
     with contextlib.suppress(OSError, ValueError):  # there is no such file, or no such name
         status = os.stat(path)
         if status.st_ino:  # 0 where the file system has no inode numbers

@@ -19,8 +19,8 @@ from tisfm.trajectory.times import time_fault
 
 RECORD = "run.json"
 TABLE = "run.csv"
-FORMAT = 2  # of `RECORD`, in this version
-# Entries that must be equal for a run to be resumed.
+FORMAT = 2  # version of the format of `RECORD`
+# A run can be resumed only if these entries are equal.
 REQUEST_KEYS = (
     "version", "arch", "lanes", "camera", "source", "settings", "window", "outputs", "figures",
     "start", "step", "disparity", "screen",
@@ -38,7 +38,7 @@ ENDINGS = {
 """Endings of the files of a pair, by output."""
 RANGE_KEYS = ("depth16_values_per_unit", "depth_range", "flow_limit", "screen_at")
 _MIN_WRITE_INTERVAL = 1.0  # s between two writings of the record; set by hand
-_MAX_WRITE_RATIO = 20.0  # this interval over the duration of the last writing; set by hand
+_MIN_INTERVAL_RATIO = 20.0  # this interval over the duration of the last writing; set by hand
 _COLUMNS = (
     "pair", "status", "message", "time0", "time1", "speed", "occluded", "confidence", "tx", "ty",
     "tz", "rx", "ry", "rz",
@@ -46,11 +46,10 @@ _COLUMNS = (
 
 
 class RunRecord:
-    """The contents of ``run.json``, from which an interrupted run is resumed.
+    """The contents of ``run.json``; an interrupted run can be resumed from this file.
 
-    The file is written while pairs finish, which takes at most a twentieth of the time, and at the
-    end. A pair counts as finished if it has an entry, and all its files have the check sums in the
-    entry.
+    The file is written repeatedly during the run, in at most a twentieth of the time, and at the
+    end. A pair is finished if it has an entry, and all its files have the check sums in the entry.
 
     Parameters
     ----------
@@ -107,7 +106,7 @@ class RunRecord:
         return pairs
 
     def resume(self) -> None:
-        """Continue from the record in the folder, if there is one.
+        """Continue from the record in the folder, if any.
 
         Raises ValueError if the record is damaged, or of another request; the message names the
         differences.
@@ -156,20 +155,20 @@ class RunRecord:
         """Return a note if a path cannot use the times of frames, else ""."""
         pairs = sorted(self.pairs.items(), key=lambda item: item[1]["number"])
         for name, pair in pairs:
-            earlier, after = pair.get("times") or (None, None)
-            if fault := time_fault(earlier, after, f"frame {name}", "the next"):
+            time0, time1 = pair.get("times") or (None, None)
+            if fault := time_fault(time0, time1, f"frame {name}", "the next"):
                 return f"{fault}: paths use the numbers of frames instead of times"
         return ""
 
     def write(self) -> None:
-        """Write ``run.json``, the table of all pairs and their times, if anything has changed."""
+        """Write ``run.json``, the table of all pairs and their times, if any entry has changed."""
         pairs = dict(sorted(self.pairs.items(), key=lambda item: item[1]["number"]))
         self._record["pairs"] = pairs  # other processes finish pairs in any order
         self._record["notes"] = [*self._notes, *filter(None, [self.times_note()])]
-        rows = ((name, *_row(pair)) for name, pair in pairs.items())
+        rows = ((name, *_table_row(pair)) for name, pair in pairs.items())
         if self._is_written:
             table = csv_table(_COLUMNS, rows)
-            if self.pairs and _read(self._folder / TABLE) != _encoded(table):
+            if self.pairs and _read(self._folder / TABLE) != _encode(table):
                 _write(self._folder / TABLE, table)
             return
         begin = time.monotonic()
@@ -179,14 +178,14 @@ class RunRecord:
         _write(self._folder / RECORD, text, durable=True)
         self._is_written = True
         end = time.monotonic()
-        self._next_write = end + max(_MIN_WRITE_INTERVAL, _MAX_WRITE_RATIO * (end - begin))
+        self._next_write = end + max(_MIN_WRITE_INTERVAL, _MIN_INTERVAL_RATIO * (end - begin))
 
 
 def refuse_other_format(
     path: Path,  # path of the file, for the message
-    record: Any,  # Its JSON. JSON that is not a record of any version raises nothing here.
+    record: Any,  # JSON of the file; JSON that is not a record of any version raises no error here
 ) -> None:
-    """Raise FormatError if a record is of a format that this version does not read."""
+    """Raise FormatError if this version does not read the format of a record."""
     if not isinstance(record, dict) or not {"format", "version"} & record.keys():
         return
     format_number = record.get("format", 1)  # files of format 1 do not state it
@@ -201,8 +200,8 @@ def is_unchanged(
     folder: Path,
     name: str,
     pair: Mapping[str, Any],  # the entry of the pair in the record
-    digest: str,  # hash of the pair's frames, and of its pose and masks if those were given
-    endings: Collection[str],  # endings of its files
+    digest: str,  # hash of the pair's frames, and of its pose and masks, if any
+    endings: Collection[str],  # endings of the pair's files
 ) -> bool:
     """Return whether the files of a pair are unchanged since it was finished.
 
@@ -214,15 +213,15 @@ def is_unchanged(
             "the same frames, step, poses and masks, or run without --resume to start again"
         )
     return set(pair["files"]) == set(endings) and all(
-        file_checksum(folder / f"{name}{ending}") == tuple(known)
-        for ending, known in pair["files"].items()
+        file_checksum(folder / f"{name}{ending}") == tuple(checksum)
+        for ending, checksum in pair["files"].items()
     )
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
-    """Return the record of the run in a folder; None if there is none.
+    """Return the record of the run in a folder; None without a record.
 
-    Raises ValueError if it is damaged, or of another format.
+    Raises ValueError if the record is damaged, or of another format.
     """
     record = _read_any_format(folder)
     refuse_other_format(folder / RECORD, record)
@@ -230,7 +229,7 @@ def read_record(folder: Path) -> dict[str, Any] | None:
 
 
 def _read_any_format(folder: Path) -> dict[str, Any] | None:
-    """Return the record of a run, of any format, None without one; ValueError if damaged."""
+    """Return the record of a run, of any format; None without a record; ValueError if damaged."""
     path = folder / RECORD
     if not path.is_file():
         return None
@@ -242,7 +241,7 @@ def _read_any_format(folder: Path) -> dict[str, Any] | None:
         for name, pair in record["pairs"].items():
             if os.path.basename(name) != name:
                 raise InputError(f"{name!r} is not the name of a pair")
-            Status(pair["status"], pair["message"])  # raises if it is not a status
+            Status(pair["status"], pair["message"])  # raises an error for an invalid status
             if not set(pair["files"]) <= set(ENDINGS.values()):
                 raise InputError(f"it lists unknown kinds of files of {name}")
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
@@ -252,7 +251,7 @@ def _read_any_format(folder: Path) -> dict[str, Any] | None:
 
 
 def _check_values(record: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Check the types of the values in a record of this version, and return it."""
+    """Check the types of the values in a record of this version; return the record."""
     try:
         if missing := set(REQUEST_KEYS) - record.keys():
             raise InputError(f"it has no {sorted(missing)[0]}")
@@ -262,8 +261,8 @@ def _check_values(record: dict[str, Any], path: Path) -> dict[str, Any]:
         for name, pair in record["pairs"].items():
             texts = (pair["status"], pair["message"], pair["frames"])
             numbers = [*(pair.get("times") or ()), *(pair.get("twists") or [()])[0]]
-            for length, total in pair["files"].values():
-                numbers += [length, total]
+            for length, checksum in pair["files"].values():
+                numbers += [length, checksum]
             numbers.append(pair["number"])
             if not all(isinstance(text, str) for text in texts):
                 raise InputError(f"the entry of {name} has a value that is not a text")
@@ -283,7 +282,7 @@ def _damage_error(path: Path, error: Exception) -> ValueError:
     return InputError(f"{path} is damaged ({reason}): run without --resume")
 
 
-def _row(pair: Mapping[str, Any]) -> Iterator[Any]:
+def _table_row(pair: Mapping[str, Any]) -> Iterator[Any]:
     """Yield the columns of a pair, without its name."""
     yield pair["status"]
     yield pair["message"]
@@ -295,17 +294,17 @@ def _row(pair: Mapping[str, Any]) -> Iterator[Any]:
 
 
 def _write(path: Path, text: str, *, durable: bool = False) -> None:
-    """Write text; characters that UTF-8 cannot encode, as in file names, are escaped."""
+    """Write text; escape characters that UTF-8 cannot encode, as in file names."""
     with atomic_write(path, durable=durable) as file:
-        file.write(_encoded(text))
+        file.write(_encode(text))
 
 
-def _encoded(text: str) -> bytes:
+def _encode(text: str) -> bytes:
     return text.encode("utf-8", "backslashreplace")
 
 
 def _read(path: Path) -> bytes:
-    """Return the contents of a file; empty if it cannot be read."""
+    """Return the contents of a file; no bytes if it cannot be read."""
     try:
         return path.read_bytes() if path.is_file() else b""
     except OSError:

@@ -1,4 +1,4 @@
-"""Drawings of a report: SVG whose text has the colour of the page."""
+"""Drawings of a report, as SVG; their texts have the colour of the page's text."""
 
 import io
 import re
@@ -17,8 +17,8 @@ from tisfm.show.palette import GRID_COLOR, RESULT_COLOR, TEXT_COLOR
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_MAX_POINTS = 400  # points of a curve at most, set by hand
-MAX_PIECES = 4  # pieces with a drawn path at most, set by hand
+_MAX_POINTS = 400  # points of a curve; set by hand
+MAX_PIECES = 4  # pieces with a drawn path; set by hand
 _VIEWS: dict[PathView, str] = {"above": "from above", "side": "from the side"}
 
 
@@ -26,13 +26,13 @@ def path_drawing(
     poses: NDArray[np.float64],  # (N, 4, 4) float64: camera to world, NaN without a pose
     piece: NDArray[np.int32],  # (N,) int32: −1 without a pose
 ) -> Markup:  # two ``svg`` elements for each of the largest pieces; empty if no frame has a pose
-    """Draw the path of the camera from above and from the side, each piece in its own scale."""
+    """Draw the path of the camera from above and from the side; each piece has its own scale."""
     numbers, counts = np.unique(piece[piece >= 0], return_counts=True)
-    shown = numbers[np.argsort(-counts, kind="stable")][:MAX_PIECES]
-    if not len(shown):
+    largest_pieces = numbers[np.argsort(-counts, kind="stable")][:MAX_PIECES]
+    if not len(largest_pieces):
         return Markup()
     drawings = []
-    for number in shown:
+    for number in largest_pieces:
         in_piece = piece == number
         prefix = f"piece {number}, {in_piece.sum()} frames, " if len(numbers) > 1 else ""
         for view, name in _VIEWS.items():
@@ -47,8 +47,7 @@ def path_drawing(
 
 
 def curves_drawing(
-    # sequence of (str, sequence of float or None): name of a curve and its numbers; None for a
-    # missing number
+    # name and numbers of each curve; None for a missing number
     curves: Sequence[tuple[str, Sequence[float | None]]],
 ) -> Markup:  # an ``svg`` element for each curve with more than one number
     """Draw curves of numbers over the pairs of a run."""
@@ -93,9 +92,9 @@ def _figure(width: float, height: float) -> "Figure":
 
 
 def _svg(figure: "Figure") -> Markup:
-    """Return a figure as an element without a size, the same in every run.
+    """Return a figure as an ``svg`` element without a size; every run gives the same bytes.
 
-    Matplotlib escapes its texts.
+    Matplotlib escapes the texts.
     """
     from matplotlib import rc_context
 
@@ -103,9 +102,9 @@ def _svg(figure: "Figure") -> Markup:
         axes.patch.set_visible(False)
     figure.tight_layout()
     data = io.StringIO()
-    about: dict[str, Any] = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    metadata: dict[str, Any] = dict.fromkeys(("Date", "Creator", "Format", "Type"))
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": "tisfm"}):
-        figure.savefig(data, format="svg", metadata=about)
+        figure.savefig(data, format="svg", metadata=metadata)
     drawing = data.getvalue()
     drawing = drawing[drawing.index("<svg") :].strip()
     drawing = drawing.replace(TEXT_COLOR, "currentColor")  # the colour of the surrounding text
@@ -117,5 +116,5 @@ def _svg(figure: "Figure") -> Markup:
 
 
 def _mean(values: NDArray[np.float64]) -> float:
-    known_curves = values[np.isfinite(values)]
-    return float(known_curves.mean()) if len(known_curves) else float("nan")
+    known_values = values[np.isfinite(values)]
+    return float(known_values.mean()) if len(known_values) else float("nan")

@@ -14,18 +14,18 @@ from tisfm.errors import InputError
 from tisfm.folders.files import MARK, REPORT, is_report
 from tisfm.formats import atomic_write
 from tisfm.report.pictures import Legend
-from tisfm.report.tables import SettingRow, StatusCount, color_of
+from tisfm.report.tables import SettingRow, StatusCount, status_color
 from tisfm.templates import render
 from tisfm.version import __version__
 
-# Smallest picture, if the screen has space for it. Set by hand.
+# Smallest size of a picture, if the screen has this space. Set by hand.
 _MIN_PICTURE_WIDTH = 200  # px
 _MIN_PICTURE_HEIGHT = 110  # px
 
 
 @dataclass(frozen=True, kw_only=True)
 class Picture:
-    """A picture of a slide: its title, and its data address, None if there is no picture."""
+    """A picture of a slide: its title, and its data address; None for a missing picture."""
 
     title: str
     url: str | None
@@ -33,7 +33,7 @@ class Picture:
 
 @dataclass(frozen=True, kw_only=True)
 class Slide:
-    """The pictures and the status of one frame, whose height and width are `shape`, px."""
+    """The pictures and the status of one frame; `shape` is its height and width, px."""
 
     name: str
     number: int
@@ -44,14 +44,14 @@ class Slide:
 
     @property
     def min_width(self) -> int:
-        """Least width of a picture on the page, px."""
+        """Smallest width of a picture on the page, px."""
         height, width = self.shape
         return max(_MIN_PICTURE_WIDTH, round(_MIN_PICTURE_HEIGHT * width / height))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """The contents of a page, as plain texts that the template escapes."""
+    """The contents of a page, as plain texts; the template escapes them."""
 
     title: str
     kind: str  # the kind of result, in a sentence
@@ -61,7 +61,7 @@ class Report:
     # of the sequence, and the code
     spans: Sequence[tuple[float, float, str]]
     unit: str  # the counted items: "frame" or "pair"
-    drawing: Markup  # paths or curves as ``svg`` elements; empty if there are none
+    drawing: Markup  # paths or curves as ``svg`` elements; empty without paths or curves
     drawing_title: str
     drawing_text: str
     slides: Sequence[Slide]
@@ -70,17 +70,17 @@ class Report:
     # sequence of (str, sequence of str, sequence of sequences of str): titles, headings and rows of
     # further tables
     tables: Sequence[tuple[str, Sequence[str], Sequence[Sequence[str]]]]
-    preset: str  # name of the preset that is nearest to the settings
+    preset: str  # name of the preset with the fewest different settings
     settings: Sequence[SettingRow]
 
     @property
-    def shown_titles(self) -> set[str]:
-        """Titles of pictures that at least one slide has; others are left out with their legend."""
+    def picture_titles(self) -> set[str]:
+        """Titles of pictures of at least one slide; the page omits all other legends."""
         pictures = (picture for slide in self.slides for picture in slide.pictures)
         return {picture.title for picture in pictures if picture.url is not None}
 
     @property
-    def changed_settings(self) -> int:
+    def changed_setting_count(self) -> int:
         """Number of settings that differ from the preset."""
         return sum(row.preset_value is not None for row in self.settings)
 
@@ -93,7 +93,7 @@ class Report:
 def check_report(folder: Path) -> Path:
     """Return the path of the report of a folder, if tisfm may write it.
 
-    Raises ValueError if a file that tisfm did not write would be replaced.
+    Raises ValueError if the report would replace a file that tisfm did not write.
     """
     path = folder / REPORT
     if path.exists() and not is_report(path):
@@ -104,12 +104,16 @@ def check_report(folder: Path) -> Path:
 
 
 def write_report(path: Path, report: Report) -> None:
-    """Write the page of a report, whole or not at all.
+    """Write the page of a report atomically.
 
     Characters that UTF-8 cannot encode become question marks.
     """
     page = render(
-        "report.html", report=report, mark=Markup(MARK), color_of=color_of, version=__version__
+        "report.html",
+        report=report,
+        mark=Markup(MARK),
+        status_color=status_color,
+        version=__version__,
     )
     with atomic_write(path) as file:
         file.write(page.encode("utf-8", "replace"))

@@ -1,4 +1,4 @@
-"""The report of a reconstruction: the path, the status of every frame, and pictures of some."""
+"""The report of a reconstruction: path, status of every frame, and pictures of some frames."""
 
 from pathlib import Path
 
@@ -30,21 +30,21 @@ from tisfm.show import (
 
 _DEPTH, _MOTION = "Depth, near is bright", "Image motion to the next frame"
 _DEVIATION = "Relative deviation of depth"
-_MAX_PICTURES = 5  # pictures of a frame, including labels
+_MAX_PICTURES = 5  # pictures of a frame, labels included
 _CONVERGED = "The frame has a pose, and depth if it was requested."
-_MAX_TABLE_ROWS = 40  # rows of a table at most; set by hand
+_MAX_TABLE_ROWS = 40  # set by hand
 
 
 def write_reconstruction_report(
     result: Reconstruction,
     folder: Path,  # folder of the report
     *,
-    source: str | None = None,  # name of the source, if it is known
+    source: str | None = None,  # name of the source, if known
 ) -> Path:
     """Write ``report.html`` of a reconstruction into a folder; return its path.
 
-    Raises OSError, ValueError if a file cannot be read or written, or a file that tisfm did not
-    write would be replaced.
+    Raises OSError, ValueError if a file cannot be read or written, or if the report would replace a
+    file that tisfm did not write.
     """
     path = check_report(folder)
     write_report(path, _report(result, folder, source))
@@ -110,7 +110,7 @@ def _report(result: Reconstruction, folder: Path, source: str | None) -> Report:
 
 
 def _summary(result: Reconstruction, folder: Path, source: str | None) -> list[tuple[str, str]]:
-    posed_count = int((result.piece >= 0).sum())
+    pose_count = int((result.piece >= 0).sum())
     sizes = np.bincount(result.piece[result.piece >= 0])
     calibration = result.calibration
     focal = describe_focal(
@@ -121,7 +121,7 @@ def _summary(result: Reconstruction, folder: Path, source: str | None) -> list[t
         *([("Source", source)] if source else []),
         ("Folder", folder.resolve().name),
         ("Frames", f"{len(result)}, {width} × {height} px"),
-        ("With a pose", f"{posed_count} of {len(result)}"),
+        ("With a pose", f"{pose_count} of {len(result)}"),
         ("Pieces", f"{len(sizes)}" + (f" ({_sizes_text(sizes)} frames)" if len(sizes) > 1 else "")),
         ("Keyframes", str(len(result.keyframes))),
         ("Preset", nearest_preset(result.settings)),
@@ -139,8 +139,8 @@ def _summary(result: Reconstruction, folder: Path, source: str | None) -> list[t
 
 
 def _sizes_text(sizes: NDArray[np.int64], max_count: int = 8) -> str:
-    more = len(sizes) - max_count
-    return ", ".join(map(str, sizes[:max_count])) + (f" and {more} more" if more > 0 else "")
+    rest = len(sizes) - max_count
+    return ", ".join(map(str, sizes[:max_count])) + (f" and {rest} more" if rest > 0 else "")
 
 
 def _slides(result: Reconstruction, numbers: list[int]) -> tuple[list[Slide], float]:
@@ -181,7 +181,7 @@ def _slide(
         flow = _flow(frame)
         if flow is not None:
             motion = pictures.url(flow_to_color(flow, limit=flow_limit, beyond="same"))
-    pictures_shown = [
+    slide_pictures = [
         Picture(title="Frame", url=pictures.url(frame.picture)),
         Picture(title=_DEPTH, url=depth),
         Picture(title=_MOTION, url=motion),
@@ -189,24 +189,24 @@ def _slide(
     ]
     if result.objects and frame.labels is not None and frame.labels.any():
         overlay = label_overlay(frame.picture, frame.labels)
-        pictures_shown.append(Picture(title="Moving objects", url=pictures.url(overlay)))
+        slide_pictures.append(Picture(title="Moving objects", url=pictures.url(overlay)))
     piece, status = int(result.piece[number]), frame.status
-    where = f"piece {piece}" if piece >= 0 else "no pose"
+    frame_note = f"piece {piece}" if piece >= 0 else "no pose"
     if number in result.keyframes:
-        where += ", keyframe"
+        frame_note += ", keyframe"
     advice = "" if status == "converged" and not status.message else shorten(status.message)
     return Slide(
         name=result.names[number],
         number=number,
         status=str(status),
         shape=result.shape,
-        message=f"{where}. {advice}".strip(),
-        pictures=pictures_shown,
+        message=f"{frame_note}. {advice}".strip(),
+        pictures=slide_pictures,
     )
 
 
 def _flow(frame: ResultFrame) -> NDArray[np.float32] | None:
-    """Return the image motion of the static scene to the next frame; None if it is unknown."""
+    """Return the static scene's image motion to the next frame, (H, W, 2) px; None if unknown."""
     if 0 not in frame.motions:
         return None
     flow = np.full((*frame.shape, 2), np.nan, np.float32)

@@ -1,4 +1,4 @@
-"""The report of a run: the record of every pair, and pictures of some pairs."""
+"""The report of a run: the status and numbers of every pair, and pictures of some pairs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -37,15 +37,15 @@ _MAX_PICTURES = 4  # pictures of a pair, without labels
 
 
 def write_run_report(
-    folder: Path,  # Folder of `tisfm run`. Pairs with an ``.npz`` file have pictures.
-    record: Mapping[str, Any],  # contents of its ``run.json``
+    folder: Path,  # folder of `tisfm run`; pairs with an ``.npz`` file get pictures
+    record: Mapping[str, Any],  # contents of ``run.json`` in the folder
     *,
-    source: str | None = None,  # name of the source, if it is known
+    source: str | None = None,  # name of the source, if known
 ) -> Path:
     """Write ``report.html`` of a run into its folder; return its path.
 
-    Raises OSError, ValueError if a file cannot be read or written, or the record is not one of a
-    run.
+    Raises OSError, ValueError if a file cannot be read or written, or if the record is not the
+    record of a run.
     """
     path = check_report(folder)
     run = _read(folder, record)
@@ -55,7 +55,7 @@ def write_run_report(
 
 @dataclass(frozen=True, kw_only=True)
 class _Pair:
-    """The record of a pair; None for missing numbers."""
+    """The record of a pair; a missing number is None."""
 
     name: str
     number: int
@@ -118,8 +118,8 @@ def _report(folder: Path, run: _Run, source: str | None) -> Report:
     counts = count_statuses(statuses, names)
     codes = [str(status) for status in statuses]
     numbers = choose_slides(len(names), [codes.index(status.code) for status in counts])
-    pairs_shown = [run.pairs[k] for k in numbers if (folder / f"{names[k]}.npz").is_file()]
-    slides, shape, flow_limit = _slides(folder, pairs_shown, run.flow_limit)
+    slide_pairs = [run.pairs[k] for k in numbers if (folder / f"{names[k]}.npz").is_file()]
+    slides, shape, flow_limit = _slides(folder, slide_pairs, run.flow_limit)
     if not names:
         slides_text = "There is no pair."
     elif not slides:
@@ -163,13 +163,13 @@ def _report(folder: Path, run: _Run, source: str | None) -> Report:
 def _summary(
     folder: Path, run: _Run, shape: tuple[int, int] | None, source: str | None
 ) -> list[tuple[str, str]]:
-    converged = sum(pair.status == "converged" for pair in run.pairs)
+    converged_count = sum(pair.status == "converged" for pair in run.pairs)
     count = len(run.pairs)
     return [
         *([("Source", source)] if source else []),
         ("Folder", folder.resolve().name),
         ("Pairs", str(count)),
-        ("Converged", f"{converged} of {count}"),
+        ("Converged", f"{converged_count} of {count}"),
         *([("Frames", f"{shape[1]} × {shape[0]} px")] if shape else []),
         ("Preset", nearest_preset(run.settings)),
         ("Motion", run.settings.motion),
@@ -232,7 +232,7 @@ def _slides(
 
 
 def _as_tuples(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings with tuples, which JSON has turned into lists."""
+    """Return settings with tuples in place of the lists of JSON."""
     return {k: tuple(v) if isinstance(v, list) else v for k, v in settings.items()}
 
 

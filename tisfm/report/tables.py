@@ -25,7 +25,7 @@ MEANINGS = {
     "pose_mismatch": "The given pose contradicts the images.",
     "diverged": "The iterations diverged: the result is useless.",
 }
-# Colours of Okabe and Ito, which people with a colour vision deficiency can tell apart.
+# Colours of Okabe and Ito: people with a colour vision deficiency can distinguish them.
 _COLORS = {
     "converged": "#009e73",
     "iteration_limit": "#56b4e9",
@@ -38,39 +38,41 @@ _COLORS = {
     "aperture": "#999999",
     "unrelated": "#cc79a7",
 }
-_WRONG = "#d55e00"
-_MAX_NAMES = 4  # names of frames for a status at most, set by hand
-_MAX_MESSAGE = 600  # characters, set by hand
+_FAILURE_COLOR = "#d55e00"  # colour of all other statuses
+_MAX_NAMES = 4  # names of frames with a status; set by hand
+_MAX_MESSAGE_LENGTH = 600  # characters; set by hand
 
 
 @dataclass(frozen=True, kw_only=True)
 class StatusCount:
-    """The frames with a status, and advice."""
+    """The number of frames with a status, and advice."""
 
-    # code, meaning, advice: the code, its meaning, and the message of the first frame with it
     code: str
-    meaning: str
-    advice: str
+    meaning: str  # meaning of the code
+    advice: str  # message of the first frame with this status
     count: int
     names: str  # names of the first frames with the status
 
 
-def color_of(code: str) -> str:
+def status_color(code: str) -> str:
     """Return the colour of a status."""
-    return _COLORS.get(code, _WRONG)
+    return _COLORS.get(code, _FAILURE_COLOR)
 
 
 def count_statuses(
     statuses: Sequence[Status], names: Sequence[str], *, converged: str = MEANINGS["converged"]
 ) -> list[StatusCount]:
-    """Return the statuses, the most frequent first; `converged` is the meaning of that status."""
+    """Return the counts of statuses, the most frequent first.
+
+    `converged` is the meaning of the status of this name.
+    """
     meanings = {**MEANINGS, "converged": converged}
     counts = Counter(map(str, statuses))
     result = []
     for code, count in sorted(counts.items(), key=lambda item: (-item[1], item[0])):
         indices = [index for index, status in enumerate(statuses) if status == code]
-        shown = ", ".join(names[index] for index in indices[:_MAX_NAMES])
-        further = count - _MAX_NAMES
+        name_text = ", ".join(names[index] for index in indices[:_MAX_NAMES])
+        further_count = count - _MAX_NAMES
         # The message of "converged" only repeats its meaning.
         message = "" if code == "converged" else statuses[indices[0]].message
         result.append(
@@ -81,34 +83,34 @@ def count_statuses(
                 count=count,
                 names="all"
                 if count == len(statuses)
-                else shown + f" and {further} more" * (further > 0),
+                else name_text + f" and {further_count} more" * (further_count > 0),
             )
         )
     return result
 
 
 def shorten(text: str) -> str:
-    """Return a text in one line, cut off if it is very long."""
+    """Return a text in one line; a very long text is cut off."""
     line = " ".join(text.split())
-    return line if len(line) <= _MAX_MESSAGE else line[: _MAX_MESSAGE - 1] + "…"
+    return line if len(line) <= _MAX_MESSAGE_LENGTH else line[: _MAX_MESSAGE_LENGTH - 1] + "…"
 
 
 def status_spans(codes: Sequence[str], max_parts: int = 500) -> list[tuple[float, float, str]]:
-    """Return begin and end, as shares of the sequence, of consecutive frames with one status.
+    """Return begin, end (shares of the sequence) and code of consecutive frames with one status.
 
-    More than `max_parts` frames are divided into that many parts, each with its rarest status.
+    A longer sequence is divided into `max_parts` parts; each part has the rarest of its statuses.
     """
     frequency = Counter(codes)
     part_count = min(max_parts, len(codes))
     edges = (
         [len(codes) * part // part_count for part in range(part_count + 1)] if part_count else [0]
     )
-    rarest = [
+    part_codes = [
         min(codes[begin:end], key=lambda code: (frequency[code], code))
         for begin, end in pairwise(edges)
     ]
     result: list[tuple[float, float, str]] = []
-    for part, code in enumerate(rarest):
+    for part, code in enumerate(part_codes):
         begin = part / part_count
         if result and result[-1][2] == code:
             begin = result.pop()[0]
