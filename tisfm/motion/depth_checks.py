@@ -26,9 +26,9 @@ def depth_status(
 ) -> Status | None:
     """Return the status of wrong or uncertain depth of one rigid motion, None for others.
 
-    Depth is wrong if much of it lies behind the camera, or if the flow field that the motion was
-    first fitted to aligns much of the texture better. If points were matched instead, there is no
-    such flow field, and depth itself has to align the frames. Depth is uncertain if its standard
+    Depth is wrong if many pixels lie behind the camera, or if the flow field of the first motion
+    aligns much of the texture better. If points were matched instead, the first motion has no flow
+    field, and depth itself has to align the frames. Depth is uncertain if its standard
     deviation is large at many pixels.
     """
     return (

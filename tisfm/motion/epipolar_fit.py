@@ -73,10 +73,10 @@ class FreeUnknowns:
 def rotation_prior(
     rotation: np.ndarray, likely_rotation: np.ndarray, noise: float
 ) -> tuple[float, np.ndarray]:
-    """Return stiffness and offset, rad, of a prior that pulls a rotation to a likely one.
+    """Return stiffness and offset, rad, of a prior that pulls a rotation to a likely rotation.
 
-    The prior is a normal distribution of deviation `rotation_deviation`. The data weigh against it
-    as if `correlated_pixels` pixels each shared an error of `noise` px.
+    The prior is a normal distribution of deviation `rotation_deviation`. The data have the weight
+    of pixels of which every `correlated_pixels` share an error of `noise` px.
     """
     offset = cv2.Rodrigues(likely_rotation @ rotation.T)[0][:, 0]
     return EGOMOTION.correlated_pixels * (noise / EGOMOTION.rotation_deviation) ** 2, offset

@@ -5,7 +5,7 @@ small object that moves far therefore costs less if it moves with its surroundin
 images show the opposite. Once the images have shown such an object, the smoothness is cut along its
 outline, and the outline is searched again on every level, by the images alone.
 
-Connected areas of a proposed flow are such objects if they pass the tests here.
+Connected areas of a proposed flow count as objects if they pass the tests of this module.
 """
 
 from collections.abc import Iterator
@@ -48,7 +48,7 @@ class FastObjects:
         windows: Windows,  # windows of the level
         unknowns: Unknowns,  # their `edges`, and ρ̂ near the outlines, are overwritten
     ) -> None:
-        """Find the outlines on a level, and cut the smoothness along them."""
+        """Find the outlines of the objects on a level, and cut the smoothness along them."""
         self._mask = _resize_mask(self._mask, windows.shape)
         self._update_outlines(windows, unknowns)
         step = max(mean_step(windows.grey0, windows.valid0), MIN_GREY_STEP)
@@ -157,7 +157,7 @@ def fast_areas(
 
     An area has at least `min_area` pixels. It moves by more than `min_speed` times the square root
     of its size, relative to its previous flow and to the flow of well-matched pixels around it. The
-    flow of surfaces without texture does not count.
+    flow of surfaces without texture is ignored.
     """
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(
         is_new.astype(np.uint8), connectivity=4

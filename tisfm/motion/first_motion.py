@@ -66,11 +66,11 @@ def first_motion(
     pose: KnownPose | None = None,  # the known motion; its translation, if any, is not 0
     # the coarsest level with at least as many pixels is used, by default the finest level
     min_pixels: float = math.inf,
-    # whether points are matched if the flow field fits no motion well and no pose is known, or if
-    # it does not align the frames and a pose with translation is known
+    # whether points are matched: without a known pose if the flow field fits no motion well, with a
+    # known translation if the flow field does not align the frames
     use_matches: bool = False,
-    # (rotation, translation): the motion of a coarser level, ‖t‖ = 1, that the fit to the flow
-    # field starts from alone
+    # (rotation, translation): the motion of a coarser level, ‖t‖ = 1, as the only start of the fit
+    # to the flow field
     initial_pose: Pose | None = None,
     # (h, w) bool array: pixels of the level whose flow is not trusted, by default none
     hidden: np.ndarray | None = None,
@@ -144,7 +144,7 @@ def first_motion(
             deviation_from_pose(start.flow, start.trust, camera, *motion) / scale
             for motion in _pose_and_inverse(known_pose.rotation, known_pose.translation)
         )
-        # The flow of stripes is ambiguous: it is no reason to doubt a pose.
+        # The flow of stripes is ambiguous, which is no reason to doubt a pose.
         doubt = (
             None
             if stripes

@@ -58,7 +58,7 @@ def replaced_status(
     frame0: np.ndarray,
     frame1: np.ndarray,
     flow: np.ndarray,
-    # (H, W) bool: pixels that are not visible in frame 1, which do not count; None: all count
+    # (H, W) bool: pixels that are not visible in frame 1, which are ignored; by default none
     hidden: np.ndarray | None = None,
 ) -> Status | None:
     """Return the status of frames with one layout and different contents, None for others.

@@ -74,7 +74,7 @@ class Windows:
         return state
 
     def mark_invalid(self, state: np.ndarray) -> None:
-        """Set the cost of a state to `UNTEXTURED` where a pixel or its target does not count."""
+        """Set the cost of a state to `UNTEXTURED` where a pixel or its target is ignored."""
         if self.valid0 is not None and self.valid1 is not None:
             target = target_pixels(np.moveaxis(state[..., :2], -1, 0))
             state[~(self.valid0 & self.valid1[target]), 2] = UNTEXTURED
@@ -228,7 +228,7 @@ def _cheapest_states(states: list[np.ndarray]) -> np.ndarray:
 
 
 def resize_mask(mask: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Return a mask on another level: it contains a pixel if the old mask contains a part of it."""
+    """Return a mask on another level, with all pixels that lie partly in the given mask."""
     if mask.shape == shape:
         return mask
     coverage = cv2.resize(mask.astype(np.float32), shape[::-1], interpolation=cv2.INTER_AREA)

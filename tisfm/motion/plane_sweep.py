@@ -63,10 +63,10 @@ class PlaneSweep:
         return low, high
 
     def initial_depth(self) -> tuple[int, np.ndarray]:
-        """Return a level of the pyramid and the initial inverse depth on it.
+        """Return a level of the pyramid and its initial inverse depth.
 
-        With little parallax, this is the triangulated flow field, which is near the truth. With
-        much parallax, it is the result of a sweep that uses the flow field as a guess. Only a
+        With little parallax, this depth is the triangulated flow field, which is near the truth.
+        With much parallax, it is the result of a sweep that uses the flow field as a guess. Only a
         sweep for a known motion may be finer than the last level of the pyramid.
 
         Returns the level of the flow field, or a finer level; and the inverse depth D, (H, W)
@@ -161,8 +161,8 @@ def sweep_depth(
     guess: np.ndarray,
     trust: np.ndarray,
     *,
-    # tuple of two (H, W) bool: pixels of each frame that count, by default all. Other pixels have
-    # the weight of hidden pixels.
+    # tuple of two (H, W) bool: used pixels of each frame, by default all. Other pixels have the
+    # weight of hidden pixels.
     valid: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> np.ndarray:  # (H, W) float32: D, interpolated between the hypotheses
     """Return the best inverse depth of every pixel among hypotheses, by semi-global matching.
@@ -217,7 +217,7 @@ def _best_depth(cost: np.ndarray, guide: np.ndarray, hypotheses: np.ndarray) -> 
 def _is_hidden(
     depth: np.ndarray, motion: np.ndarray, camera: Camera, valid1: np.ndarray | None
 ) -> np.ndarray:
-    """Return the pixels that leave the image or lie behind others in frame 1, (H, W) bool.
+    """Return the pixels that leave the image or are occluded in frame 1, (H, W) bool.
 
     Pixels that move to a pixel outside `valid1`, (H, W) bool, are included.
     """

@@ -22,7 +22,7 @@ def pyramid_of(
 ) -> ImagePyramid:
     """Return the pyramid of a pair of grey frames, (H, W) float32 on the 8-bit scale.
 
-    `valid`, (H, W) bool each, are the pixels of each frame that count, by default all.
+    `valid`, (H, W) bool each, are the used pixels of each frame, by default all.
     """
     return ImagePyramid(
         grey0,

@@ -77,7 +77,7 @@ def rigid_depth(
     # (H, W) bool array: pixels whose data are used, by default all. Depth is continued smoothly
     # to other pixels.
     support: np.ndarray | None = None,
-    # (int, (h, w) float32): the first level and D on it, for translations scaled by
+    # (int, (h, w) float32): the first level and the D of this level, for translations scaled by
     # `scaled_translations`; by default the coarsest level, and zero
     start: tuple[int, np.ndarray] | None = None,
     # linearisations on the last level, by default `settings.warps * DEPTH.warps_factor`
@@ -85,8 +85,8 @@ def rigid_depth(
 ) -> RigidSolution:
     """Estimate the inverse depth of every pixel, from coarse to fine.
 
-    The data terms are the same as for a flow field, weighted as `settings.depth_brightness`,
-    `settings.gradient` and `settings.depth_normalization` say, and restricted to epipolar lines.
+    The data terms are those of a flow field, restricted to epipolar lines. Their weights are
+    `settings.depth_brightness`, `settings.gradient` and `settings.depth_normalization`.
     Displacements are computed exactly. The unknown D is in px/frame for every motion, because
     translations are scaled such that D moves a pixel by D px/frame on average. Edges between
     labels have no smoothness.

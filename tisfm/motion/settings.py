@@ -73,7 +73,7 @@ class DepthSettings:
     max_range_parallax: float = 0.2  # longer sides: largest parallax of that search
     range_percentiles: tuple[int, int] = (1, 99)  # percentiles of depth that bound the range
     range_margin: float = 0.3  # share by which the hypotheses extend beyond that range
-    # mean steps between neighbours in frame 0: largest difference of brightness that counts; for
+    # mean steps between neighbours in frame 0: largest difference of brightness in costs; for
     # derivatives of brightness a quarter
     max_brightness_difference: float = 2.4
     guess_distance: float = 4.0  # px/frame: depth that differs more from the guess costs more
@@ -99,7 +99,7 @@ class DepthSettings:
     weak_smoothness: float = 1e-4
     median_window: int = 5  # px: side of the window of the median of depth after each linearisation
     max_quiet_residual: float = 0.15  # px: smoothness grows with the median residual above it
-    # residual over the median residual: a pixel with more hardly counts
+    # residual over the median residual: pixels with more have little weight
     outlier_residual: float = 1.5
     # estimate
     # px: residual of flow fields of rendered scenes under a rigid motion, from noise alone. More is
@@ -122,8 +122,8 @@ class DepthSettings:
     max_carried_ratio: float = 2.0  # carried depth over the largest matched depth
     # share of the matched pixels, the farthest ones, that the largest matched depth ignores
     ignored_far_share: float = 0.01
-    # Standard deviations of D. The mean change of matched pixels nearby by the refinement is added
-    # to them. Then 76% of the pixels of TartanAir lie within one deviation, and 52% of a HoloLens,
+    # Two standard deviations of D. The mean change of nearby matched pixels by the refinement is
+    # added. Then 76% of the pixels of TartanAir lie within one deviation, and 52% of a HoloLens,
     # whose poses are not exact.
     match_deviation: float = 0.1  # px: deviation of a matched pixel
     carried_deviation: float = 0.05  # px of deviation for every px that depth is carried
@@ -134,10 +134,10 @@ class DepthSettings:
     # matched_planes
     max_plane_pixels: int = 2**19  # pixels of the finest searched level
     min_plane_pixels: int = 2**14  # pixels of the coarsest searched level
-    # rounds on the coarsest level, the next, and all others
+    # rounds on the coarsest level, on the next level, and on all finer levels
     plane_rounds: tuple[int, ...] = (3, 2, 1)
     plane_draws: int = 2  # planes drawn near a pixel's own plane, in each round
-    # px of D: spread of drawn planes on the coarsest level and on others
+    # px of D: spread of drawn planes on the coarsest level and on finer levels
     plane_spread: tuple[float, float] = (4.0, 1.0)
     plane_tilt: float = 0.05  # px per px: spread of the slopes of drawn planes
     plane_shrinkage: float = 0.6  # factor of both spreads after every round
@@ -205,8 +205,8 @@ class SparseSettings:
     # homographies
     plane_samples: int = 400  # approximate number of rays that a homography is fitted to
     plane_rounds: int = 4  # rounds of robust weights in this fit
-    # distances from a homography's points over those from epipolar lines, for a plane. The former
-    # have two components, so noise alone makes it 1.75; in real frames it is 2.6 or more.
+    # distances from the points of a homography over distances from epipolar lines, for a plane.
+    # Noise alone gives 1.75, since points have two components; real frames give 2.6 or more.
     max_plane_ratio: float = 2.2
     min_plane_distance: float = 0.02  # px: smallest distance from epipolar lines in real frames
     # share of the rays that meet a visible plane in front of the camera
@@ -285,14 +285,14 @@ class ProposalSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class PreviousFrameSettings:
-    """Data of the previous frame. The bend is the flow to it plus the flow to the next frame."""
+    """Data of the previous frame. The bend is the sum of the flows to both neighbours."""
 
-    # hidden share of a pixel of a coarser level that counts as hidden
+    # smallest hidden share of the area of a hidden pixel on a coarser level
     min_hidden_share: float = 0.5
-    min_arrivals: float = 0.5  # pixels of the previous frame that move to a pixel visible in it
+    min_arrivals: float = 0.5  # smallest number of pixels that move to a visible pixel
     grid_step: int = 4  # px between rows and columns that the bend is fitted to
     window_radius: int = 64  # px: half the side of the window in which the bend is fitted
-    # px²: added to variances of the flow; smaller ones hardly determine the bend's slope
+    # px²: added to variances of the flow; smaller variances hardly determine the bend's slope
     added_variance: float = 0.05
     # px: deviation from the bend that halves a pixel's weight, as it shows another surface
     half_weight_deviation: float = 0.1
@@ -341,12 +341,12 @@ class CheckSettings:
     # percentile of the variances of differences that gives the variance of the noise
     noise_percentile: int = 10
     min_textured_share: float = 0.05  # share of textured windows in frames that are evaluated
-    # A frame consists of stripes if at most the first share of its windows has more than the second
-    # share of its variation along the stripes. Noise of 20 grey levels on stripes of 40 gives a
-    # share along of 0.17; in real frames it is above a half.
+    # A frame consists of stripes if at most the first share of its windows have more than the
+    # second share of their variation along the stripes. Noise of 20 grey levels on stripes of 40 gives a
+    # second share of 0.17, real frames more than a half.
     max_stripe_exceptions: float = 0.01
     max_stripe_variation: float = 0.25
-    faint_share: float = 0.01  # share of the mean variation: windows with less do not count
+    faint_share: float = 0.01  # share of the mean variation: windows with less are ignored
     max_flow: float = 0.5  # longer sides: 0.12 on benchmarks, 0.7 and more if flow diverges
     # share of the pixels that leave the image: at most 0.08 on benchmarks
     max_leaving_share: float = 0.5
@@ -359,7 +359,7 @@ class CheckSettings:
     # poses (7-Scenes), 17 and more if such a pose is inverted or its translation is reversed
     max_pose_ratio: float = 8.0
     min_pose_distance: float = 0.02  # px: smallest distance from the best motion in real frames
-    # share of the visible texture that the flow field aligns better than motion and depth do: at
+    # share of the visible texture that the flow field aligns better than motion and depth: at
     # most 0.11 if depth is wrong by less than a tenth, 0.17 and more if wrong by more than half
     max_unexplained_share: float = 0.15
     # gain of correlation by which the flow field aligns the frames better
@@ -374,7 +374,7 @@ class CheckSettings:
     max_uncertain_share: float = 0.05
     # standard deviation of uncertain inverse depth, over itself and over the median
     max_relative_deviation: float = 0.5
-    # hidden share of a pixel of a coarser level that counts as visible
+    # largest hidden share of the area of a visible pixel on a coarser level
     max_hidden_share: float = 0.3
     min_brightness_ratio: float = 1.15  # ratio of mean brightness, if the light may have changed
 

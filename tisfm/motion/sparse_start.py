@@ -44,8 +44,8 @@ class SparseStart:
 def sparse_start(
     pyramid: ImagePyramid,
     level: int,  # level whose frames decide between motions; the returned flow is on this level
-    # (rotation, translation) or None: motion of a flow field. Matches replace it only if their best
-    # motion fits them clearly better. It decides between motions that fit the images equally well.
+    # (rotation, translation) or None: motion of a flow field. Another motion replaces it only if
+    # the matches fit clearly better. It decides between motions that fit the images equally well.
     flow_pose: Pose | None,
 ) -> SparseStart | None:
     """Return the motion of matches that fits the images best; None if none beats `flow_pose`."""

@@ -8,9 +8,9 @@ motion,
     (x̂, ŷ, 1, 0, 0, 0),            (x̂ŷ, 1 + ŷ², 0, 1, 0, 0),
     (−1 − x̂², −x̂ŷ, 0, 0, 1, 0),    (ŷ, −x̂, 0, 0, 0, 1).
 
-The data term does not depend on these fields. They are so smooth that the smoothness term hardly
-depends on them either, so errors along them shrink most slowly. The best multiple of each field
-follows exactly from 4 linear equations.
+The data term does not depend on these fields. The fields are so smooth that the smoothness
+term hardly depends on them either, so errors along them shrink most slowly. The best multiple of
+each field follows exactly from 4 linear equations.
 """
 
 from collections.abc import Iterator, Sequence

@@ -5,7 +5,7 @@ a sweep costs a quarter. A V-cycle sweeps once, solves for the correction on the
 same way, adds the correction and sweeps once more.
 
 The coarse system has averaged motion tensors and averaged edge weights. Its image coordinates x̂ and
-ŷ are those of the coarse pixels.
+ŷ belong to the coarse pixels.
 
 ρ̂ are the unknowns of a pixel. Equations are numbered as in the paper (docs/method.md). A lane array
 holds an image as vertical strips (`tisfm.kernels.layout.lanes`). In a halved array, each strip
@@ -88,7 +88,7 @@ class Multigrid:
 
 
 class _Level:
-    """A grid, its system and its unknown: ρ̂ on the finest grid, a correction on the others."""
+    """A grid, its system and its unknown: ρ̂ on the finest grid, a correction on coarser grids."""
 
     def __init__(
         self,

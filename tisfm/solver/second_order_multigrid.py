@@ -123,7 +123,7 @@ class Interpolation:
 
 
 class _Level:
-    """A grid, its system and its unknown: ρ on the finest grid, a correction on the others."""
+    """A grid, its system and its unknown: ρ on the finest grid, a correction on coarser grids."""
 
     def __init__(
         self,

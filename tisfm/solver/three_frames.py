@@ -17,7 +17,7 @@ from tisfm.solver.data_term import DataTerm
 
 
 class ThreeFrameData:
-    """The constraints of a pair, joined with those of the previous frame.
+    """The constraints of a pair, joined with the constraints of the previous frame.
 
     If w is the flow to the next frame, the flow to the previous frame is bend − w. A constraint on
     the flow to the previous frame is therefore a constraint on w, and no unknowns are added.
@@ -25,9 +25,9 @@ class ThreeFrameData:
 
     def __init__(
         self,
-        # Data term of the pair. Its constraints are overwritten by the joint constraints.
+        # data term of the pair; the joint constraints overwrite its constraints
         data_term: DataTerm,
-        # (H, W) float32: the previous frame, grey levels, smoothed like the others
+        # (H, W) float32: the previous frame, grey levels, smoothed like the frames of the pair
         previous: np.ndarray,
         # ((H + 3)·W, 4) float32: `tisfm.solver.sampling.spline_taps` of the previous frame
         taps: np.ndarray,

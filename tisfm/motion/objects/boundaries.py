@@ -33,9 +33,9 @@ def sharpen_labels(
     Layers are separated by windows, which reach over boundaries. Here, a pixel near a boundary (a
     free pixel) is assigned by its grey level in both frames, without smoothing, under the flow of
     every label nearby. A pixel of a surface in the background may be occluded in frame 1: if its
-    flow leads to the target of a surface in front, its grey level counts little. A surface in front
-    cannot be where a surface behind it is visible. Where two surfaces have the same target, the
-    surface whose grey levels match there is in front.
+    flow leads to the target of a surface in front, its grey level has little weight. A surface in
+    front cannot be where a surface behind it is visible. Where two surfaces have the same target,
+    the surface whose grey levels match there is in front.
     """
     window = np.ones(
         (2 * OBJECTS.max_boundary_shift + 1, 2 * OBJECTS.max_boundary_shift + 1), np.uint8
@@ -145,7 +145,7 @@ def _variance(frame: np.ndarray) -> np.ndarray:
 def _costs_with_occlusion(
     costs: np.ndarray, hidden: np.ndarray, sums: np.ndarray, corners: list[list[Corner]]
 ) -> np.ndarray:
-    """Return the costs of the free pixels, (K, N) float32, with occlusion of labels by others.
+    """Return the costs of the free pixels, (K, N) float32, with occlusion by other labels.
 
     `costs`, (K, N), are the costs of visible labels, `hidden`, (N,), the costs of occluded pixels,
     `sums` the sums of `_sums_at_targets`, and `corners` the targets of the pixels under each label.

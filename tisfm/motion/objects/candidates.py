@@ -97,7 +97,7 @@ class _CandidateSearch:
         """Give separate parts of a label their own motions if these fit clearly better.
 
         One motion with free depths often explains two objects that move only roughly alike. Mostly
-        it is the motion of the largest part, so the other parts try motions of their own.
+        this is the motion of the largest part, so the other parts try motions of their own.
         """
         labels = self._assign_labels(motions)
         new_motions: list[np.ndarray] = []

@@ -183,8 +183,8 @@ def _resize_flows(flows: np.ndarray, shape: tuple[int, ...], ratio: float) -> np
 def _moves_like_background(layers: Layers, min_difference: float) -> np.ndarray:
     """Return the pixels, (H, W) bool, whose flow is within `min_difference` px of the background's.
 
-    Under a motion with translation, distant points move as under its rotation alone. So such a
-    motion also explains a background that only rotates, by a wrong depth.
+    Under a motion with translation, distant points move as under its rotation alone. So a motion
+    with translation also explains a background that only rotates, with a wrong depth.
     """
     own_flow = np.take_along_axis(layers.flows, layers.labels[None, None], axis=0)[0]
     return np.linalg.norm(own_flow - layers.flows[0], axis=0) < min_difference

@@ -187,7 +187,7 @@ class Layering:
         return layers
 
     def _remove_layer(self, layers: Layers, label: int) -> Layers:
-        """Return the layers without one layer, the others fitted anew."""
+        """Return the layers without the layer of a label, fitted anew."""
         other_labels = [k for k in range(len(layers.motions)) if k != label]
         weight = np.where(layers.hidden, OBJECTS.hidden_weight, OBJECTS.visible_weight).astype(
             np.float32
@@ -252,7 +252,7 @@ class Layering:
     ) -> list[np.ndarray]:
         """Return the motions fitted to a flow field within their layers, (3, 4) each.
 
-        Floating parts do not count for the background's motion. A motion stays if it has no
+        The background's motion ignores floating parts. A motion stays if it has no
         translation or if its layer has too few trusted pixels.
         """
         motions = []
