@@ -342,8 +342,8 @@ class CheckSettings:
     noise_percentile: int = 10
     min_textured_share: float = 0.05  # share of textured windows in frames that are evaluated
     # A frame consists of stripes if at most the first share of its windows have more than the
-    # second share of their variation along the stripes. Noise of 20 grey levels on stripes of 40 gives a
-    # second share of 0.17, real frames more than a half.
+    # second share of their variation along the stripes. Noise of 20 grey levels on stripes of 40
+    # gives a second share of 0.17, real frames more than a half.
     max_stripe_exceptions: float = 0.01
     max_stripe_variation: float = 0.25
     faint_share: float = 0.01  # share of the mean variation: windows with less are ignored
