@@ -22,7 +22,7 @@ from bench.shared.command import command_text, options_parser
 from bench.shared.figures import CURVES, tidy
 from bench.shared.results import RESULTS, Table, machine, markdown_page, write_results
 from tisfm import runtime
-from tisfm.evaluation.pair_errors import LITTLE_PARALLAX
+from tisfm.evaluation.pair_errors import LITTLE_PARALLAX_STATUSES
 from tisfm.metrics import depth_errors, endpoint_error, pose_errors
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import SyntheticPair, static_scene
@@ -93,7 +93,7 @@ def measure(pair: SyntheticPair, kind: str, ratio: float, preset: Preset) -> Out
         return tisfm.interpret(pair.frame0, pair.frame1, camera=camera, settings=settings)
 
     single, field = interpreted("camera"), interpreted("field")
-    has_depth = single.status not in LITTLE_PARALLAX and single.motions is not None
+    has_depth = single.status not in LITTLE_PARALLAX_STATUSES and single.motions is not None
     exact = two_stage(pair.flow, camera, threshold=EXACT_THRESHOLD)
     errors = None
     if has_depth and single.motions is not None:

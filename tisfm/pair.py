@@ -17,7 +17,7 @@ from tisfm.settings import Settings, check_settings
 from tisfm.status import History, Status
 from tisfm.version import __version__
 from tisfm.visibility.confidence import confidence
-from tisfm.visibility.occlusion import leaves_image, occlusion_in
+from tisfm.visibility.occlusion import leaves_image, pyramid_occlusion
 from tisfm.window import Window
 
 if TYPE_CHECKING:
@@ -185,7 +185,7 @@ def interpret_pair(
         estimate.precision[...] = 0  # frame 0 is uniform: the frames show no motion
     with np.errstate(over="ignore", invalid="ignore"):  # ρ̂ may have diverged: the status says so
         is_leaving = leaves_image(flow)
-        occluded = occlusion_in(
+        occluded = pyramid_occlusion(
             pyramid,
             flow,
             settings,

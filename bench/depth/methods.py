@@ -18,7 +18,7 @@ from bench.depth.pairs import DepthPair
 from bench.shared.contest import Method as FlowMethod
 from bench.shared.contest import MethodFailure
 from tisfm.camera import Camera
-from tisfm.evaluation.pair_errors import LITTLE_PARALLAX
+from tisfm.evaluation.pair_errors import LITTLE_PARALLAX_STATUSES
 from tisfm.rigid import pose_matrix
 from tisfm.settings import Motion, Preset, Settings
 
@@ -74,7 +74,7 @@ class OwnMethod:
         except Exception as error:  # a failure must not lose the figures of the other methods
             raise MethodFailure(f"{type(error).__name__}: {error}") from error
         seconds = time.perf_counter() - started
-        has_depth = result.status not in LITTLE_PARALLAX
+        has_depth = result.status not in LITTLE_PARALLAX_STATUSES
         estimated_pose = None if result.motions is None else pose_matrix(result.motions[0])
         return [
             Estimate(

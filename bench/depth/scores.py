@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from bench.depth.methods import Estimate
 from bench.depth.pairs import DepthPair
-from tisfm.evaluation.pair_errors import LITTLE_PARALLAX
+from tisfm.evaluation.pair_errors import LITTLE_PARALLAX_STATUSES
 from tisfm.metrics import certain_error, depth_errors, pose_errors
 from tisfm.metrics.valid_pixels import is_known
 
@@ -51,7 +51,7 @@ class Score:
     @property
     def without_depth(self) -> bool:
         """Whether the method itself reports too little parallax for depth."""
-        return self.status in LITTLE_PARALLAX
+        return self.status in LITTLE_PARALLAX_STATUSES
 
 
 def score(estimate: Estimate, pair: DepthPair) -> Score:

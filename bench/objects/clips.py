@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.camera import Camera
-from tisfm.evaluation.moving_objects import true_masks
+from tisfm.evaluation.moving_objects import find_true_masks
 from tisfm.formats import read_image
 from tisfm.formats.label_picture import read_label_picture
 from tisfm.scenes import BodiesFilm, bodies_film, bodies_path
@@ -65,7 +65,7 @@ def davis_folders(data: Path) -> list[Path]:
 
 def davis_clip(folder: Path) -> Clip:
     """Read a clip; raise ValueError if the numbers of masks and images differ."""
-    images, masks = (_pictures(part) for part in (folder / "images", true_masks(folder)))
+    images, masks = (_pictures(part) for part in (folder / "images", find_true_masks(folder)))
     if len(images) != len(masks):
         raise ValueError(f"{folder} has {len(images)} images and {len(masks)} masks")
     return Clip(

@@ -35,7 +35,7 @@ STAGES = (
     ("tisfm.solver.unknowns", "Unknowns.precision", "read-out"),
     ("tisfm.motion.field", "resize_to_finest", "read-out"),
     ("tisfm.motion.field", "_read_out", "read-out"),
-    ("tisfm.pair", "occlusion_in", "occlusion"),
+    ("tisfm.pair", "pyramid_occlusion", "occlusion"),
     ("tisfm.pair", "confidence", "confidence"),
     ("tisfm.pair", "interpret", "all else"),
 )

@@ -22,7 +22,7 @@ import tisfm
 from bench.pair_memory import peak, reset_peak
 from bench.sequences.stored import store, store_map
 from tisfm import runtime
-from tisfm.evaluation.pair_errors import LITTLE_PARALLAX
+from tisfm.evaluation.pair_errors import LITTLE_PARALLAX_STATUSES
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.formats import read_image
 from tisfm.interpretation import Interpretation
@@ -161,7 +161,7 @@ def chain(
     for index in range(count):
         last = index == count - 1
         result = interpret(index, index - 1) if last else interpret(index, index + 1)
-        has_depth = result.status not in LITTLE_PARALLAX and result.motions is not None
+        has_depth = result.status not in LITTLE_PARALLAX_STATUSES and result.motions is not None
         unit = _unit(points, result.inverse_depth, focal, center) if has_depth else 1.0
         if unit is None:  # the scale is lost: a new segment begins
             pose, piece, unit = np.eye(4), piece + 1, 1.0

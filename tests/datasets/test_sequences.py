@@ -15,7 +15,12 @@ from tests.datasets.made import (
     put,
 )
 from tisfm.datasets import find_pairs
-from tisfm.datasets.calibration import COLOUR_OFFSET, DEPTH_CAMERA, KNOWN_CAMERAS, for_width
+from tisfm.datasets.calibration import (
+    COLOUR_CAMERA_OFFSET,
+    DEPTH_CAMERA,
+    KNOWN_CAMERAS,
+    scale_known_camera,
+)
 from tisfm.formats import FormatError, write_png
 from tisfm.metrics import pose_errors
 from tisfm.scenes import Box, Plane, Scene, Texture
@@ -64,7 +69,7 @@ def test_cameras_of_sequences(data):
         camera, whole = pair.load().camera, KNOWN_CAMERAS[pair.layout]
         assert camera.focal == pytest.approx(whole.focal * scale)
         assert camera.center == pytest.approx(((320.5) * scale - 0.5, 240.5 * scale - 0.5))
-        assert for_width(whole, 640) == whole
+        assert scale_known_camera(whole, 640) == whole
 
 
 def test_sevenscenes_as_they_are_distributed(data):
@@ -83,13 +88,19 @@ def test_depth_is_that_of_the_colour_camera(data):
     """Rendered for the depth camera beside it, it is what the colour camera sees."""
     height, width = 120, 160
     views = []
-    for camera, shift in ((KNOWN_CAMERAS["sevenscenes"], 0.0), (DEPTH_CAMERA, COLOUR_OFFSET)):
+    for camera, shift in (
+        (KNOWN_CAMERAS["sevenscenes"], 0.0),
+        (DEPTH_CAMERA, COLOUR_CAMERA_OFFSET),
+    ):
         wall = Plane(texture=Texture(wavelength=0.1), point=(shift, 0, 2.5), normal=(0.3, 0.2, -1))
         box = Box(
             texture=Texture(wavelength=0.1), center=(0.2 + shift, 0, 1.0), size=(0.3, 0.25, 0.2)
         )
         scene = Scene(
-            objects=[wall, box], camera=for_width(camera, width), height=height, width=width
+            objects=[wall, box],
+            camera=scale_known_camera(camera, width),
+            height=height,
+            width=width,
         )
         views.append(scene.render(samples=1).depth)
     expected, raw = views

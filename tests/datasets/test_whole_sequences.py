@@ -7,7 +7,7 @@ import pytest
 
 from tests.datasets.made import COLOUR, HOLE, MAKERS, POSES, H, W, put
 from tisfm.datasets import SEQUENCE_LAYOUTS, find_sequences
-from tisfm.datasets.calibration import KNOWN_CAMERAS, for_width
+from tisfm.datasets.calibration import KNOWN_CAMERAS, scale_known_camera
 from tisfm.datasets.pose_files import motion_between
 from tisfm.formats import FormatError
 from tisfm.lens import undistort_depth
@@ -83,7 +83,7 @@ def test_names_and_cameras(data):
     assert sequences["tum"].name == "rgbd_freiburg2_desk"
     cameras = {kind: sequence.load().camera for kind, sequence in sequences.items()}
     for kind in ("new_tsukuba", "sevenscenes"):
-        assert cameras[kind] == for_width(KNOWN_CAMERAS[kind], W)
+        assert cameras[kind] == scale_known_camera(KNOWN_CAMERAS[kind], W)
     assert cameras["tum"].focals == pytest.approx((520.9, 521.0))
     assert len(cameras["tum"].distortion) == 5
     assert cameras["kitti_odometry"].center == (21.5, 14.5)

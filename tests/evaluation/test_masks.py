@@ -59,7 +59,7 @@ def test_indices_of_a_palette_are_the_labels(clip, result, inner):
 def test_a_step_takes_some_of_the_true_masks(clip, tmp_path):
     save(tmp_path / "half" / "masks", truth()[::2] // 255, indexed=True)
     assert compare_masks(tmp_path / "half", clip, step=2).iou == 1
-    with pytest.raises(ValueError, match=r"masks of 2 frames, but there are 4 true ones"):
+    with pytest.raises(ValueError, match=r"masks of 2 frames, but there are 4 true masks"):
         compare_masks(tmp_path / "half", clip)
     with pytest.raises(ValueError, match="step is 0"):
         compare_masks(tmp_path / "half", clip, step=0)

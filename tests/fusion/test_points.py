@@ -189,10 +189,12 @@ def test_a_cube_has_the_mean_of_its_points_by_precision():
 def test_the_deviation_of_a_point_is_that_of_the_mean():
     """Its precision is the sum of those of the views, relative to the inverse depth."""
     stds = (0.02, 0.01, 0.03)
-    read = PosedViews([wall(std=std) for std in stds], max_relative_std=0.1, max_depth=None, held=3)
+    read = PosedViews(
+        [wall(std=std) for std in stds], max_relative_std=0.1, max_depth=None, cached_views=3
+    )
     view, *others = read
     shown = np.zeros(view.inverse_depth.shape, bool)
-    _, relative, _, _ = points_module._points_of(view, others, shown, 3)
+    _, relative, _, _ = points_module._agreed_points(view, others, shown, 3)
     expected = 1 / np.sqrt(sum(1 / std**2 for std in stds))
     np.testing.assert_allclose(relative, expected, rtol=1e-4)
 
@@ -226,24 +228,24 @@ def test_views_are_read_one_by_one(rendered):
 
 
 def test_memory_holds_the_given_number_of_views(rendered):
-    views = PosedViews(noisy_views(rendered), max_relative_std=0.1, max_depth=None, held=3)
+    views = PosedViews(noisy_views(rendered), max_relative_std=0.1, max_depth=None, cached_views=3)
     first = views[0]
     assert views[0] is first
     _ = views[1], views[0], views[2], views[3]
     assert views[0] is first
-    assert views._cached.cache_info().currsize == 3
+    assert views._prepare_cached.cache_info().currsize == 3
 
 
 def test_neighbours_see_the_same(rendered):
     views = PosedViews(noisy_views(rendered), max_relative_std=0.1, max_depth=None)
     for n in range(len(views)):
-        found = choose_neighbours(n, views.seen, 5)
+        found = choose_neighbours(n, views.summaries, 5)
         assert n not in found
         assert len(set(found)) == len(found) == 5
     turned = dataclasses.replace(
-        views.seen[0], pose=views.seen[0].pose @ pose_matrix((0, 0, 0, 0, np.pi, 0))
+        views.summaries[0], pose=views.summaries[0].pose @ pose_matrix((0, 0, 0, 0, np.pi, 0))
     )
-    assert choose_neighbours(0, [views.seen[0], turned], 5) == []
+    assert choose_neighbours(0, [views.summaries[0], turned], 5) == []
 
 
 def test_the_same_bits_twice():

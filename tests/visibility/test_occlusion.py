@@ -207,7 +207,7 @@ def test_errors_are_larger_where_occluded_and_confidence_knows():
 def test_frames_of_a_coarser_level_tell_which_surface_is_seen(extra):
     """At odd sizes, too, where levels are not half as large: an exact flow leaves no residual."""
     from tisfm.motion.problems import pyramid_of
-    from tisfm.visibility.occlusion import occlusion_in, residual_of
+    from tisfm.visibility.occlusion import flow_residual, pyramid_occlusion
 
     pair = passing_block(4)
     grey = [
@@ -219,7 +219,7 @@ def test_frames_of_a_coarser_level_tell_which_surface_is_seen(extra):
     hidden = np.pad(~pair.visible, ((0, extra), (0, extra)), mode="edge")
     settings = tisfm.Settings.preset("fast")
     pyramid = pyramid_of(*grey, pair.camera, settings)
-    found = occlusion_in(pyramid, flow, settings, level=1)
+    found = pyramid_occlusion(pyramid, flow, settings, level=1)
     precision, recall = precision_and_recall(found, hidden)
     assert precision > 0.8
     assert recall > 0.8
@@ -230,5 +230,5 @@ def test_frames_of_a_coarser_level_tell_which_surface_is_seen(extra):
     flow = np.zeros((2, *frames[0].shape), np.float32)
     flow[0] = 20
     levels = pyramid.frames0[1], pyramid.frames1[1]
-    residual = residual_of(*levels, flow, settings, factor=2)
+    residual = flow_residual(*levels, flow, settings, factor=2)
     assert residual[10:-10, 10:-40].max() < 0.05 < residual[:, -15:].max()

@@ -18,10 +18,10 @@ from tisfm.evaluation.files import EVALUATION_RECORD
 from tisfm.evaluation.moving_objects import (
     compare_masks,
     compare_object_paths,
+    find_true_masks,
     has_true_paths,
     mask_table,
     object_path_table,
-    true_masks,
 )
 from tisfm.evaluation.sequence_result import TrajectoryResult
 from tisfm.evaluation.sequence_tables import sequence_tables
@@ -218,7 +218,7 @@ def evaluate_objects(
         )
     (folder,) = folders
     scores = compare_masks(result, folder, step=1 if step is None else step)
-    masks = true_masks(folder).resolve()
+    masks = find_true_masks(folder).resolve()
     name = masks.parent.name if masks.name == "masks" else masks.name
     labels = {score.object_id: score.label for score in scores.objects if score.label is not None}
     true_folder = masks.parent if masks.name == "masks" else masks

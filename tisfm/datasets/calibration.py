@@ -1,4 +1,4 @@
-"""Cameras of the datasets: from their files, or from their publications."""
+"""Cameras of the datasets, from their files or from publications."""
 
 import struct
 from dataclasses import dataclass
@@ -38,15 +38,30 @@ TUM_CAMERAS = {
 """Colour cameras of TUM's sequences, by the number after "freiburg" in the folder's name."""
 
 DEPTH_CAMERA = Camera(focal=585.0, center=(320.0, 240.0))
-"""The depth camera of "sevenscenes". It stands beside the colour camera of the frames."""
+"""The depth camera of "sevenscenes". It is beside the colour camera of the frames."""
 
-COLOUR_OFFSET = 0.025
+COLOUR_CAMERA_OFFSET = 0.025
 """Distance of the colour camera of that sensor to the right of its depth camera, m."""
 
-_INTRINSICS = ("fx", "fy", "cx", "cy")
+_INTRINSIC_NAMES = ("fx", "fy", "cx", "cy")
 # OpenCV's coefficients of distortion, in OpenCV's order.
-_DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tx", "ty")
-_DEPTH_SCALE = "depth_scale"
+_DISTORTION_NAMES = (
+    "k1",
+    "k2",
+    "p1",
+    "p2",
+    "k3",
+    "k4",
+    "k5",
+    "k6",
+    "s1",
+    "s2",
+    "s3",
+    "s4",
+    "tx",
+    "ty",
+)
+_DEPTH_SCALE_NAME = "depth_scale"
 _SINTEL_CAMERA = struct.Struct("<f9d12d")  # tag, intrinsics 3×3, extrinsics 3×4
 
 
@@ -58,8 +73,8 @@ def read_camera(path: Path, frame: Path) -> Camera:
     path : Path
         A Sintel .cam file, or a KITTI calibration text of 2012 or 2015.
     frame : Path
-        The frame. KITTI's folder image_0 is of the grey camera 0, other folders of the colour
-        camera 2.
+        The frame. KITTI's folder image_0 has the images of the grey camera 0, other folders those
+        of the colour camera 2.
 
     Returns
     -------
@@ -74,9 +89,9 @@ def read_camera(path: Path, frame: Path) -> Camera:
         If the file does not exist or cannot be read.
     """
     if path.suffix == ".cam":
-        matrix = _sintel_matrix(path)
+        matrix = _read_sintel_matrix(path)
     else:
-        matrix = _kitti_matrix(path, 0 if frame.parent.name == "image_0" else 2)
+        matrix = _read_kitti_matrix(path, 0 if frame.parent.name == "image_0" else 2)
     try:
         return Camera(focal=float(matrix[0, 0]), center=(float(matrix[0, 2]), float(matrix[1, 2])))
     except ValueError as error:
@@ -106,47 +121,53 @@ def read_calibration(
     rows = [line.split() for line in lines if line.strip()]
     if len(rows) != 2 or len(rows[0]) != len(rows[1]):
         raise FormatError(
-            f"{path} is not a calibration: expected a heading such as {' '.join(_INTRINSICS)} and "
-            "below it as many numbers"
+            f"{path} is not a calibration: expected a heading such as {' '.join(_INTRINSIC_NAMES)} "
+            "and below it as many numbers"
         )
     names, words = rows
-    unknown = sorted(set(names).difference(_INTRINSICS, _DISTORTION, [_DEPTH_SCALE]))
-    missing = [name for name in _INTRINSICS if name not in names]
+    unknown = sorted(
+        set(names).difference(_INTRINSIC_NAMES, _DISTORTION_NAMES, [_DEPTH_SCALE_NAME])
+    )
+    missing = [name for name in _INTRINSIC_NAMES if name not in names]
     if unknown or missing or len(set(names)) < len(names):
         raise FormatError(
-            f"{path} has the heading {' '.join(names)}: expected each of {' '.join(_INTRINSICS)} "
-            f"once, and optionally {' '.join((*_DISTORTION, _DEPTH_SCALE))}"
+            f"{path} has the heading {' '.join(names)}: expected each of "
+            f"{' '.join(_INTRINSIC_NAMES)} once, and optionally "
+            f"{' '.join((*_DISTORTION_NAMES, _DEPTH_SCALE_NAME))}"
         )
     try:
         values = {name: float(word) for name, word in zip(names, words, strict=True)}
     except ValueError as error:
         raise FormatError(f"{path}: {error}, expected numbers") from error
-    lens = [name for name in _DISTORTION if name in values]
-    if tuple(lens) != _DISTORTION[: len(lens)]:
+    coefficients = [name for name in _DISTORTION_NAMES if name in values]
+    if tuple(coefficients) != _DISTORTION_NAMES[: len(coefficients)]:
         raise FormatError(
-            f"{path} has {' '.join(lens)}: expected {' '.join(_DISTORTION[: len(lens)])}, the "
-            "first coefficients without a gap"
+            f"{path} has {' '.join(coefficients)}: expected "
+            f"{' '.join(_DISTORTION_NAMES[: len(coefficients)])}, the first coefficients without "
+            "a gap"
         )
-    scale = values.get(_DEPTH_SCALE)
+    scale = values.get(_DEPTH_SCALE_NAME)
     if scale is not None and not (np.isfinite(scale) and scale > 0):
-        raise FormatError(f"{path} has the {_DEPTH_SCALE} {scale:g}, expected a positive number")
+        raise FormatError(
+            f"{path} has the {_DEPTH_SCALE_NAME} {scale:g}, expected a positive number"
+        )
     try:
         camera = Camera(
             focal=(values["fx"], values["fy"]),
             center=(values["cx"], values["cy"]),
-            distortion=[values[name] for name in lens] or None,
+            distortion=[values[name] for name in coefficients] or None,
         )
     except ValueError as error:
         raise FormatError(f"{path} states no usable camera: {error}") from error
     return Calibration(camera=camera, depth_scale=scale)
 
 
-def for_width(camera: Camera, width: int) -> Camera:
+def scale_known_camera(camera: Camera, width: int) -> Camera:
     """Return one of `KNOWN_CAMERAS` for frames that are resampled to this width, px."""
     return camera.scaled(width / KNOWN_CAMERA_SIZE[1], *KNOWN_CAMERA_SIZE)
 
 
-def _sintel_matrix(path: Path) -> np.ndarray:
+def _read_sintel_matrix(path: Path) -> np.ndarray:
     data = read_bytes(path)
     size = _SINTEL_CAMERA.size
     if len(data) != size:
@@ -157,7 +178,7 @@ def _sintel_matrix(path: Path) -> np.ndarray:
     return np.array(numbers[:9]).reshape(3, 3)
 
 
-def _kitti_matrix(path: Path, index: int) -> np.ndarray:
+def _read_kitti_matrix(path: Path, index: int) -> np.ndarray:
     """Return the 3×4 projection matrix of a rectified camera."""
     names = (f"P_rect_{index:02d}", f"P{index}")  # of KITTI 2015 and 2012
     for line in read_text(path).splitlines():

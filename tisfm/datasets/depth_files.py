@@ -16,17 +16,17 @@ from tisfm.formats.image_headers import MAX_IMAGE_PIXELS
 from tisfm.formats.npz import ALLOWED_COMPRESSIONS, DAMAGE_ERRORS
 from tisfm.formats.reading import read_bytes
 
-MILLIMETRES = 1000.0
+MILLIMETRES_PER_METRE = 1000.0
 """Scale of a depth map in millimetres: file values per metre."""
 
-_NO_DEPTH = (0, 65535)  # file values without a depth
+_VALUES_WITHOUT_DEPTH = (0, 65535)  # file values without a depth
 
 
 def read_depth(
     path: str | os.PathLike[str],  # a 16-bit grey image, 0 or 65535 where there is no depth
     # file values per unit of depth. By default the file is in millimetres, the
     # depth in metres.
-    scale: float = MILLIMETRES,
+    scale: float = MILLIMETRES_PER_METRE,
 ) -> NDArray[np.float32]:  # (H, W) float32 ndarray: depth Z; NaN where there is no depth
     """Read a depth map.
 
@@ -41,14 +41,14 @@ def read_depth(
             "uint16"
         )
     depth = stored.astype(np.float32) / np.float32(scale)
-    depth[np.isin(stored, _NO_DEPTH)] = np.nan
+    depth[np.isin(stored, _VALUES_WITHOUT_DEPTH)] = np.nan
     return depth
 
 
 def reproject_depth(
     # (H, W) float32: Z in the axes of the source camera, NaN where there is no depth
     depth: NDArray[np.float32],
-    # source, target: The camera of the map, and the camera beside it, with the same direction and
+    # source, target: the camera of the map, and the camera beside it, with the same direction and
     # image size. A target with a longer focal length would get gaps.
     source: Camera,
     target: Camera,
@@ -67,15 +67,15 @@ def reproject_depth(
     ratio = target.focal / source.focal
     x = np.rint((columns - cx) * ratio - target.focal * offset / z + x0)
     y = np.rint((rows - cy) * ratio + y0)
-    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    nearest = np.full(depth.shape, np.float32(np.inf))
-    np.minimum.at(nearest, (y[inside].astype(int), x[inside].astype(int)), z[inside])
-    return np.where(np.isfinite(nearest), nearest, np.float32(np.nan))
+    is_inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    target_depth = np.full(depth.shape, np.float32(np.inf))
+    np.minimum.at(target_depth, (y[is_inside].astype(int), x[is_inside].astype(int)), z[is_inside])
+    return np.where(np.isfinite(target_depth), target_depth, np.float32(np.nan))
 
 
 _KITTI_STEPS = 256  # 16-bit file values per pixel of disparity
-_ZIP = b"PK"  # what .npz files begin with
-_HEADERS = {
+_ZIP_SIGNATURE = b"PK"  # first bytes of .npz files
+_HEADER_READERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,
 }
@@ -113,7 +113,7 @@ def _read_array(name: str) -> NDArray[Any]:
     """Return the only array of an .npy or .npz file; its header is checked before unpacking."""
     data = read_bytes(name)
     try:
-        if not data.startswith(_ZIP):
+        if not data.startswith(_ZIP_SIGNATURE):
             return _read_npy(name, io.BytesIO(data), len(data))
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             parts = archive.infolist()
@@ -135,18 +135,19 @@ def _read_array(name: str) -> NDArray[Any]:
 def _read_npy(name: str, file: IO[bytes], length: int) -> NDArray[Any]:
     """Return the array of an .npy file of `length` bytes."""
     version = np.lib.format.read_magic(file)
-    if version not in _HEADERS:
+    if version not in _HEADER_READERS:
         raise InputError(f"its header is of version {version}")
-    shape, by_columns, dtype = _HEADERS[version](file)
+    shape, is_by_columns, dtype = _HEADER_READERS[version](file)
     _check_map(name, shape, dtype)
-    expected, rest = math.prod(shape) * dtype.itemsize, length - file.tell()
-    if rest != expected:
+    expected, remaining = math.prod(shape) * dtype.itemsize, length - file.tell()
+    if remaining != expected:
         raise FormatError(
-            f"{name} is damaged: {rest} bytes of numbers, expected {expected} for {shape} {dtype}"
+            f"{name} is damaged: {remaining} bytes of numbers, expected {expected} for "
+            f"{shape} {dtype}"
         )
     numbers = file.read(expected)
     file.read(1)  # zipfile compares the check sum at the end
-    return np.frombuffer(numbers, dtype).reshape(shape, order="F" if by_columns else "C")
+    return np.frombuffer(numbers, dtype).reshape(shape, order="F" if is_by_columns else "C")
 
 
 def _check_map(name: str, shape: tuple[int, ...], dtype: np.dtype) -> None:

@@ -10,20 +10,25 @@ from numpy.typing import NDArray
 
 from tisfm.camera import Camera
 from tisfm.datasets.calibration import (
-    COLOUR_OFFSET,
+    COLOUR_CAMERA_OFFSET,
     DEPTH_CAMERA,
     KNOWN_CAMERAS,
     Calibration,
-    for_width,
     read_calibration,
     read_camera,
+    scale_known_camera,
 )
-from tisfm.datasets.depth_files import MILLIMETRES, read_depth, read_disparity, reproject_depth
+from tisfm.datasets.depth_files import (
+    MILLIMETRES_PER_METRE,
+    read_depth,
+    read_disparity,
+    reproject_depth,
+)
 from tisfm.datasets.pose_files import motion_between, read_pose, read_pose_row
 from tisfm.formats import FormatError, read_flo, read_image, read_kitti_flow
 from tisfm.metrics.valid_pixels import MAX_KNOWN_VALUE
 
-# Motion of the scene from the left to the right view; the baseline is unknown, and counts as 1.
+# Motion of the scene from the left to the right view. The baseline is unknown and has length 1.
 _STEREO_TRANSLATION = (-1.0, 0.0, 0.0)
 
 TruthFormat = Literal["flo", "kitti", "disparity"]
@@ -47,7 +52,7 @@ class LoadedPair:
         True motion (R, t; 0, 1) of the scene at rest, from the camera axes of frame 0 to those of
         frame 1, in the unit of the dataset. None if unknown.
     pose_given : bool
-        Whether that motion is an input, as for a rectified stereo pair, and not to be estimated.
+        Whether `pose` is an input of the interpretation, as for a rectified stereo pair.
     occlusion : (H, W) bool ndarray or None
         True where a point of frame 0 with known motion is not visible in frame 1. None if unknown.
     sky : (H, W) bool ndarray or None
@@ -61,7 +66,7 @@ class LoadedPair:
     >>> from tisfm.scenes import two_blocks
     >>> scene = two_blocks(48, 64)
     >>> loaded = LoadedPair(frame0=scene.frame0, frame1=scene.frame1, camera=scene.camera)
-    >>> loaded.flow is None and loaded.depth is None  # nothing is known of them
+    >>> loaded.flow is None and loaded.depth is None  # there is no ground truth
     True
     """
 
@@ -186,7 +191,7 @@ class DatasetPair:
             frame0=frame0,
             frame1=frame1,
             flow=flow,
-            depth=self._read_depth(flow, size, calibration.depth_scale or MILLIMETRES),
+            depth=self._read_depth(flow, size, calibration.depth_scale or MILLIMETRES_PER_METRE),
             pose=self._read_pose(),
             pose_given=self.truth_format == "disparity",
             occlusion=self._read_occlusion(flow, size),
@@ -195,7 +200,7 @@ class DatasetPair:
         )
 
     def _read_flow(self, path: Path, size: tuple[int, ...]) -> NDArray[np.float32]:
-        flow = self._decode_flow(path)
+        flow = self._read_flow_file(path)
         self._require_size(path, flow, size)
         if self.invalid is not None:
             flow[self._read_mask(self.invalid, size)] = np.nan
@@ -204,17 +209,17 @@ class DatasetPair:
             raise FormatError(f"{path} has no known motion at any of its {pixels} pixels")
         return flow
 
-    def _decode_flow(self, path: Path) -> NDArray[np.float32]:
+    def _read_flow_file(self, path: Path) -> NDArray[np.float32]:
         if self.truth_format == "kitti":
             return read_kitti_flow(path)
         if self.truth_format == "disparity":
             disparity = read_disparity(path)
-            nothing = np.where(np.isnan(disparity), disparity, np.float32(0))
-            return np.stack([-disparity, nothing], axis=2)
+            zero_motion = np.where(np.isnan(disparity), disparity, np.float32(0))
+            return np.stack([-disparity, zero_motion], axis=2)
         flow = read_flo(path)
         # NaN compares as false, so it counts as unknown.
-        known = (np.abs(flow) <= MAX_KNOWN_VALUE).all(axis=2)
-        flow[~known] = np.nan
+        is_known = (np.abs(flow) <= MAX_KNOWN_VALUE).all(axis=2)
+        flow[~is_known] = np.nan
         return flow
 
     def _read_depth(
@@ -224,9 +229,9 @@ class DatasetPair:
             depth = read_depth(self.depth, scale)
             self._require_size(self.depth, depth, size)
             if self.layout in KNOWN_CAMERAS:
-                depth_camera = for_width(DEPTH_CAMERA, size[1])
-                colour_camera = for_width(KNOWN_CAMERAS[self.layout], size[1])
-                depth = reproject_depth(depth, depth_camera, colour_camera, COLOUR_OFFSET)
+                depth_camera = scale_known_camera(DEPTH_CAMERA, size[1])
+                colour_camera = scale_known_camera(KNOWN_CAMERAS[self.layout], size[1])
+                depth = reproject_depth(depth, depth_camera, colour_camera, COLOUR_CAMERA_OFFSET)
         elif flow is not None and self.truth_format == "disparity":
             disparity = -flow[..., 0]
             depth = np.full(disparity.shape, np.nan, np.float32)
@@ -253,7 +258,9 @@ class DatasetPair:
     def _read_calibration(self, size: tuple[int, ...]) -> Calibration:
         if self.calibration is None:
             camera = KNOWN_CAMERAS.get(self.layout)
-            return Calibration(camera=None if camera is None else for_width(camera, size[1]))
+            return Calibration(
+                camera=None if camera is None else scale_known_camera(camera, size[1])
+            )
         if self.layout == "calibrated":
             return read_calibration(self.calibration)
         return Calibration(camera=read_camera(self.calibration, self.frame0))
@@ -265,8 +272,8 @@ class DatasetPair:
             return self._read_mask(self.occluded, size)
         if self.visible is None or flow is None:
             return None
-        known = np.isfinite(flow).all(axis=2)
-        return np.asarray(known & ~self._read_visible(self.visible, size))
+        has_flow = np.isfinite(flow).all(axis=2)
+        return np.asarray(has_flow & ~self._read_visible(self.visible, size))
 
     def _read_visible(self, path: Path, size: tuple[int, ...]) -> NDArray[np.bool_]:
         if self.truth_format != "kitti":

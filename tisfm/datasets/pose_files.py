@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.formats import FormatError
-from tisfm.trajectory.text_files import check_pose, pose_of_twelve, read_rows
+from tisfm.trajectory.text_files import check_pose, pose_from_rows, read_rows
 
 
 def read_pose(
@@ -45,7 +45,7 @@ def read_pose_row(
             f"{path} has {len(rows)} rows, so there is no pose of frame {row}: expected a row for "
             "every frame, from 0"
         )
-    return check_pose(pose_of_twelve(rows[row]), f"{path}, row {row}")
+    return check_pose(pose_from_rows(rows[row]), f"{path}, row {row}")
 
 
 def read_poses(
@@ -60,7 +60,7 @@ def read_poses(
     Raises OSError if the file does not exist or cannot be read.
     """
     return [
-        check_pose(pose_of_twelve(numbers), f"{path}, line {line}")
+        check_pose(pose_from_rows(numbers), f"{path}, line {line}")
         for line, numbers in read_rows(path, columns=12)
     ]
 

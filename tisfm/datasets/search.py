@@ -8,7 +8,7 @@ from typing import get_args
 
 from tisfm.checks import check_whole_numbers
 from tisfm.datasets.pair import DatasetPair
-from tisfm.datasets.pair_layouts import LAYOUTS, Layout, Rule
+from tisfm.datasets.pair_layouts import LAYOUTS, Layout, PairRule
 from tisfm.datasets.sequence import LoadedSequence
 from tisfm.datasets.sequence_layouts import SEQUENCE_LAYOUTS, SequenceLayout
 from tisfm.errors import InputError
@@ -66,26 +66,26 @@ def find_pairs(
         )
     if step is not None and (not isinstance(step, int) or isinstance(step, bool) or step < 1):
         raise InputError(f"step is {step!r}: expected a positive whole number")
-    root = root_of(folder)
+    root = check_folder(folder)
     rules = list(LAYOUTS.values()) if layout is None else [LAYOUTS[layout]]
     # The absolute path: datasets are named after folders, and "." and ".." are not names.
     pairs = [
         pair
-        for subfolder in folders_below(Path(os.path.abspath(root)))
+        for subfolder in walk_folders(Path(os.path.abspath(root)))
         for rule in rules
-        for pair in _find(rule, subfolder, step)
+        for pair in _find_pairs_in(rule, subfolder, step)
     ]
     if not pairs:
         names = [layout] if layout is not None else list(LAYOUTS)
         expected = "; ".join(f"{name}: {LAYOUTS[name].expected}" for name in names)
         raise FileNotFoundError(
-            f"{root} holds no pair of frames with a truth. Looked there and in the folders "
+            f"{root} holds no pair of frames with a truth. tisfm searched it and the folders "
             f"below for {expected}"
         )
     return pairs
 
 
-def root_of(folder: str | os.PathLike[str]) -> Path:
+def check_folder(folder: str | os.PathLike[str]) -> Path:
     """Return the path of an existing folder, or raise the errors of `find_pairs`."""
     root = Path(folder)
     if not root.exists():
@@ -97,20 +97,20 @@ def root_of(folder: str | os.PathLike[str]) -> Path:
     return root
 
 
-def _find(rule: Rule, folder: Path, step: int | None) -> Iterator[DatasetPair]:
+def _find_pairs_in(rule: PairRule, folder: Path, step: int | None) -> Iterator[DatasetPair]:
     """Yield the pairs of a layout in one folder."""
     return rule.find(folder) if rule.step is None else rule.find(folder, step=step or rule.step)
 
 
-def folders_below(root: Path) -> Iterator[Path]:
+def walk_folders(root: Path) -> Iterator[Path]:
     """Yield a folder and all folders below it, each once, in the order of their names."""
     visited = set()
     for folder, subfolders, _ in os.walk(root, followlinks=True):
-        real = os.path.realpath(folder)
-        if real in visited:  # a link leads to a folder that was visited
+        real_path = os.path.realpath(folder)
+        if real_path in visited:  # a link leads to a folder that was visited
             subfolders.clear()
             continue
-        visited.add(real)
+        visited.add(real_path)
         subfolders[:] = sorted(name for name in subfolders if not name.startswith("."))
         yield Path(folder)
 
@@ -202,20 +202,20 @@ def find_sequences(
         raise InputError(
             f"layout is {layout!r}: expected one of {', '.join(map(repr, names))}, or None"
         )
-    root = root_of(folder)
-    wanted = {
+    root = check_folder(folder)
+    rules = {
         name: rule for name, rule in SEQUENCE_LAYOUTS.items() if layout is None or name == layout
     }
     sequences = [
         DatasetSequence(layout=name, name=rule.name(subfolder), folder=subfolder)
-        for subfolder in folders_below(Path(os.path.abspath(root)))
-        for name, rule in wanted.items()
+        for subfolder in walk_folders(Path(os.path.abspath(root)))
+        for name, rule in rules.items()
         if rule.recognises(subfolder)
     ]
     if not sequences:
-        expected = "; ".join(f"{name}: {rule.expected}" for name, rule in wanted.items())
+        expected = "; ".join(f"{name}: {rule.expected}" for name, rule in rules.items())
         raise FileNotFoundError(
-            f"{root} holds no sequence whose path or depth is known. Looked there and in the "
+            f"{root} holds no sequence whose path or depth is known. tisfm searched it and the "
             f"folders below for {expected}"
         )
     return sequences

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.camera import Camera
-from tisfm.datasets.depth_files import MILLIMETRES, read_depth
+from tisfm.datasets.depth_files import MILLIMETRES_PER_METRE, read_depth
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,7 +45,7 @@ class LoadedSequence:
     camera: Camera | None = None
     times: NDArray[np.float64] | None = None
     depths: tuple[Path | None, ...]
-    depth_scale: float = MILLIMETRES
+    depth_scale: float = MILLIMETRES_PER_METRE
 
     @property
     def posed(self) -> NDArray[np.bool_]:

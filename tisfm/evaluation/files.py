@@ -31,16 +31,16 @@ from tisfm.version import __version__
 
 EVALUATION_RECORD = "eval.json"
 _DPI = 250  # px per inch: high enough to keep all pixels of a panel
-_ENDINGS = ("_flow.flo", "_flow.png", "_error.png", "_depth_error.png")
-_PACKAGES = ("numpy", "opencv-python-headless", "taichi")
+_FILE_ENDINGS = ("_flow.flo", "_flow.png", "_error.png", "_depth_error.png")
+_RECORDED_PACKAGES = ("numpy", "opencv-python-headless", "taichi")
 
 
 class EvaluationWriter:
     """Writes the files of evaluated pairs into a folder, and one record of all pairs.
 
     For a pair NAME of DATASET: ``DATASET/NAME_flow.flo``; with a true flow,
-    ``DATASET/NAME_flow.png`` (recovered beside true flow) and ``DATASET/NAME_error.png`` (end-point
-    error, on one scale for all pairs); with a true and a recovered depth,
+    ``DATASET/NAME_flow.png`` (estimated beside true flow) and ``DATASET/NAME_error.png`` (end-point
+    error, on one scale for all pairs); with a true and an estimated depth,
     ``DATASET/NAME_depth_error.png`` (both on one scale, and the relative error). The record,
     ``eval.json``, is written first and replaced after every pair: it always lists the pairs with
     complete files. At the end, its "complete" becomes true.
@@ -61,7 +61,7 @@ class EvaluationWriter:
     ) -> None:
         self.folder = Path(folder)
         self._stems: dict[DatasetPair, str] = {}
-        self._taken: set[str] = set()
+        self._used_stems: set[str] = set()
         pairs = list(pairs)
         self._inputs = InputFiles(
             value for pair in pairs for value in vars(pair).values() if isinstance(value, Path)
@@ -74,7 +74,7 @@ class EvaluationWriter:
             "version": __version__,
             "versions": {
                 "python": platform.python_version(),
-                **{package: _version(package) for package in _PACKAGES},
+                **{package: _version(package) for package in _RECORDED_PACKAGES},
             },
             "machine": platform.platform(),
             "processor": platform.processor() or platform.machine(),
@@ -147,17 +147,17 @@ class EvaluationWriter:
             parts = (pair.dataset, pair.name)
             stem = "/".join(re.sub(r"[^\w.+-]+", "_", part).lstrip(".") or "_" for part in parts)
             number = 1
-            free = stem
-            while free.lower() in self._taken:
+            unique_stem = stem
+            while unique_stem.lower() in self._used_stems:
                 number += 1
-                free = f"{stem}_{number}"
-            self._taken.add(free.lower())
-            self._stems[pair] = free
+                unique_stem = f"{stem}_{number}"
+            self._used_stems.add(unique_stem.lower())
+            self._stems[pair] = unique_stem
         return self._stems[pair]
 
     def _files(self, stem: str) -> list[Path]:
         """Return all files that a pair can have."""
-        return [self.folder / f"{stem}{ending}" for ending in _ENDINGS]
+        return [self.folder / f"{stem}{ending}" for ending in _FILE_ENDINGS]
 
     def _write_record(self) -> None:
         self._inputs.refuse(self.folder / EVALUATION_RECORD)

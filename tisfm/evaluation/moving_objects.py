@@ -24,8 +24,8 @@ from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.trajectory import read_trajectory
 
-MASKS = "masks"
-_NOTHING = "–"  # cell without a value
+MASK_FOLDER = "masks"
+_EMPTY_CELL = "–"  # cell without a value
 
 
 def compare_masks(
@@ -58,7 +58,7 @@ def compare_masks(
         If numbers or sizes of masks differ, if no true mask has an object, or if `step` is not a
         positive whole number.
     tisfm.formats.FormatError
-        If a picture is damaged, or is no picture of labels.
+        If a picture is damaged, or is not a picture of labels.
 
     See Also
     --------
@@ -71,30 +71,30 @@ def compare_masks(
     1.0
     """
     check_whole_numbers(1, step=step)
-    true_files = _pictures(true_masks(truth))[::step]
+    true_files = _find_pictures(find_true_masks(truth))[::step]
     folder = Path(result)
     if not folder.is_dir():
         raise FileNotFoundError(f"there is no folder {folder}: check the path")
-    if not (folder / MASKS).is_dir():
+    if not (folder / MASK_FOLDER).is_dir():
         raise FileNotFoundError(
-            f"{folder} has no folder {MASKS}: reconstruct with --motion objects, and every frame's "
-            "labels are saved there"
+            f"{folder} has no folder {MASK_FOLDER}: reconstruct with --motion objects, which saves "
+            "the labels of every frame there"
         )
-    files = _pictures(folder / MASKS)
+    files = _find_pictures(folder / MASK_FOLDER)
     if len(files) != len(true_files):
         raise InputError(
-            f"{folder} has masks of {len(files)} frames, but there are {len(true_files)} true ones "
-            f"at a step of {step}: expected one for each frame that was reconstructed"
+            f"{folder} has masks of {len(files)} frames, but there are {len(true_files)} true "
+            f"masks at a step of {step}: expected one for each frame that was reconstructed"
         )
-    pairs = _in_one_grid(folder, files, true_files)
-    found, true = tee(pairs)
-    return label_scores((one for one, _ in found), (one for _, one in true))
+    pairs = _read_label_pairs(folder, files, true_files)
+    pairs0, pairs1 = tee(pairs)
+    return label_scores((labels for labels, _ in pairs0), (true for _, true in pairs1))
 
 
-def _in_one_grid(
+def _read_label_pairs(
     folder: Path, files: Sequence[Path], true_files: Sequence[Path]
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield labels and true labels, (H, W), both without distortion."""
+    """Yield labels and true labels of each frame, (H, W), both without distortion."""
     lens = None
     for file, true_file in zip(files, true_files, strict=True):
         labels, true = read_label_picture(file), read_label_picture(true_file)
@@ -102,12 +102,12 @@ def _in_one_grid(
             camera = read_camera(folder, true.shape)
             if not camera.is_pinhole:
                 lens = lens or Undistortion(camera, *true.shape)
-                seen = np.nan_to_num(lens.apply_nearest(np.float32(true))).astype(true.dtype)
-                labels, true = (np.where(lens.valid, one, 0) for one in (labels, seen))
+                undistorted = np.nan_to_num(lens.apply_nearest(np.float32(true))).astype(true.dtype)
+                labels, true = (np.where(lens.valid, values, 0) for values in (labels, undistorted))
         yield labels, true
 
 
-def true_masks(folder: str | os.PathLike[str]) -> Path:
+def find_true_masks(folder: str | os.PathLike[str]) -> Path:
     """Return the folder of the masks of a sequence: ``masks`` in a folder, or the folder itself.
 
     Raises FileNotFoundError if the folder does not exist.
@@ -115,7 +115,7 @@ def true_masks(folder: str | os.PathLike[str]) -> Path:
     path = Path(folder)
     if not path.is_dir():
         raise FileNotFoundError(f"there is no folder {path}: check the path")
-    return path / MASKS if (path / MASKS).is_dir() else path
+    return path / MASK_FOLDER if (path / MASK_FOLDER).is_dir() else path
 
 
 def mask_table(name: str, scores: LabelScores) -> Table:
@@ -123,31 +123,32 @@ def mask_table(name: str, scores: LabelScores) -> Table:
     table = Table(
         title=f"Moving objects of {name} against the true masks",
         caption="IoU: intersection over union with the label matched to the object in all frames, "
-        "mean over the frames in which one of both is present. followed: frames in which a label "
-        "has an IoU of 0.5 or more with the object. switches: how often that label changes.",
+        "mean over the frames in which the object or the label is present. followed: frames in "
+        "which a label has an IoU of 0.5 or more with the object. switches: changes of that label.",
     )
     table.add_column("object", overflow="fold")
     for heading in ("label", "IoU", "frames", "followed", "switches"):
         table.add_column(heading, justify="right", no_wrap=True)
-    for one in scores.objects:
+    for object_scores in scores.objects:
         table.add_row(
-            Text(str(one.object_id)),
-            _NOTHING if one.label is None else str(one.label),
-            f"{one.iou:.3f}",
-            str(one.frames),
-            f"{one.followed} of {one.present}",
-            str(one.switches),
+            Text(str(object_scores.object_id)),
+            _EMPTY_CELL if object_scores.label is None else str(object_scores.label),
+            f"{object_scores.iou:.3f}",
+            str(object_scores.frames),
+            f"{object_scores.followed} of {object_scores.present}",
+            str(object_scores.switches),
         )
     if len(scores.objects) > 1:
         present, followed = (
-            sum(getattr(one, key) for one in scores.objects) for key in ("present", "followed")
+            sum(getattr(object_scores, key) for object_scores in scores.objects)
+            for key in ("present", "followed")
         )
         row = (f"{scores.iou:.3f}", "", f"{followed} of {present}", str(scores.switches))
         table.add_row("all", "", *row)
     return table
 
 
-def _pictures(folder: Path) -> Sequence[Path]:
+def _find_pictures(folder: Path) -> Sequence[Path]:
     files = [
         file
         for file in folder.iterdir()
@@ -158,12 +159,12 @@ def _pictures(folder: Path) -> Sequence[Path]:
     return sort_by_name(files)
 
 
-POSES = "poses.txt"
+POSE_FILE = "poses.txt"
 
 
 def has_true_paths(folder: Path) -> bool:
     """Return whether a folder has the true paths of objects and of the camera."""
-    return (folder / OBJECTS).is_file() and (folder / POSES).is_file()
+    return (folder / OBJECTS).is_file() and (folder / POSE_FILE).is_file()
 
 
 def compare_object_paths(
@@ -181,33 +182,36 @@ def compare_object_paths(
 
     Raises tisfm.formats.FormatError if a file is damaged.
     """
-    found = Reconstruction.load(result)
-    cameras = read_trajectory(truth / POSES).poses[::step]
-    if len(cameras) != len(found):
+    reconstruction = Reconstruction.load(result)
+    cameras = read_trajectory(truth / POSE_FILE).poses[::step]
+    if len(cameras) != len(reconstruction):
         raise InputError(
-            f"{truth / POSES} has {len(cameras)} frames at a step of {step}, but {result} has "
-            f"{len(found)}: expected as many"
+            f"{truth / POSE_FILE} has {len(cameras)} frames at a step of {step}, but {result} has "
+            f"{len(reconstruction)}: expected the same number"
         )
     try:
         record = read_json(truth / OBJECTS)
-        true_objects = {one.id: one for one in map(MovingObject.from_json, record["objects"])}
+        true_objects = {
+            moving_object.id: moving_object
+            for moving_object in map(MovingObject.from_json, record["objects"])
+        }
     except FormatError:
         raise
     except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
         raise FormatError(f"{truth / OBJECTS} is damaged or of another kind: {error}") from error
-    objects = {one.id: one for one in found.objects}
+    objects = {moving_object.id: moving_object for moving_object in reconstruction.objects}
     errors = {}
-    for number, label in labels.items():
-        if number not in true_objects or label not in objects:
+    for true_id, label in labels.items():
+        if true_id not in true_objects or label not in objects:
             continue
-        both = object_path_errors(
-            _by_frame(objects[label], len(found)),
-            _by_frame(true_objects[number], len(found), step),
-            found.poses,
+        object_errors = object_path_errors(
+            _poses_by_frame(objects[label], len(reconstruction)),
+            _poses_by_frame(true_objects[true_id], len(reconstruction), step),
+            reconstruction.poses,
             cameras,
         )
-        if both is not None:
-            errors[number] = both
+        if object_errors is not None:
+            errors[true_id] = object_errors
     return errors
 
 
@@ -216,22 +220,22 @@ def object_path_table(name: str, errors: Mapping[int, ObjectPathErrors]) -> Tabl
     table = Table(
         title=f"Paths of the moving objects of {name} against the true paths",
         caption="position: root mean square distance from the true path, with the world aligned by "
-        "the path of the camera, and scale and origin of the object fitted; share: of the length "
-        "of the true path. rotation: of the axes, degrees.",
+        "the path of the camera, and scale and origin of the object fitted; share: position over "
+        "the length of the true path. rotation: angle between the axes, degrees.",
     )
     for heading in ("object", "frames", "position", "share", "rotation"):
         table.add_column(heading, justify="right", no_wrap=True)
-    for number, error in errors.items():
+    for true_id, error in errors.items():
         share = "–" if error.share is None else f"{100 * error.share:.2f} %"
         row = (f"{error.position:.4g}", share, f"{error.rotation:.2f}°")
-        table.add_row(str(number), str(error.frames), *row)
+        table.add_row(str(true_id), str(error.frames), *row)
     return table
 
 
-def _by_frame(one: MovingObject, count: int, step: int = 1) -> np.ndarray:
+def _poses_by_frame(moving_object: MovingObject, count: int, step: int = 1) -> np.ndarray:
     """Return the poses of an object in every n-th frame, (N, 4, 4); NaN for no pose."""
     poses = np.full((count, 4, 4), np.nan)
-    for frame, pose in zip(one.frames, one.poses, strict=True):
+    for frame, pose in zip(moving_object.frames, moving_object.poses, strict=True):
         if frame % step == 0 and frame // step < count:
             poses[frame // step] = pose
     return poses

@@ -10,7 +10,7 @@ from tisfm.camera import Camera
 from tisfm.datasets import DatasetPair
 from tisfm.metrics import DepthErrors, FlowErrors, OcclusionScores, PoseErrors
 
-LITTLE_PARALLAX = ("little_parallax", "pure_rotation", "no_motion")
+LITTLE_PARALLAX_STATUSES = ("little_parallax", "pure_rotation", "no_motion")
 """Statuses of too little parallax to measure depth and the direction of translation."""
 
 
@@ -40,19 +40,19 @@ class PairEvaluation:
         The same errors without the sky, if the dataset marks it.
     occlusion : OcclusionScores or None
         Agreement of the occlusion map with the truth, where the true flow is known. In the truth,
-        the pixels are occluded that the dataset marks or that leave the image. None if the dataset
-        has no map. If no pixel is occluded, the count of marked pixels is the number of false
-        alarms.
+        pixels are occluded if the dataset marks them or if they leave the image. None if the
+        dataset has no map. If no pixel is occluded, the count of marked pixels is the number of
+        false alarms.
     depth : DepthErrors or None
         Errors of the depth, scaled by the median, where the truth is known; None without a true
-        depth or a recovered depth.
+        depth or an estimated depth.
     without_depth : bool
         Whether the dataset has true depth but the interpretation has none: its status reports too
         little parallax, or no pixel of known depth has depth.
     pose : PoseErrors or None
-        Errors of the motion of the scene before the camera; None without a true pose, if the pose
-        was given to the interpretation, or if the interpretation has no single motion. With too
-        little parallax, its direction is None.
+        Errors of the motion of the scene relative to the camera; None without a true pose, if the
+        pose was given to the interpretation, or if the interpretation has no single motion. With
+        too little parallax, its direction is None.
 
     Examples
     --------
@@ -87,7 +87,7 @@ class PairEvaluation:
     @property
     def little_parallax(self) -> bool:
         """Whether the interpretation reports too little parallax for depth."""
-        return self.status in LITTLE_PARALLAX
+        return self.status in LITTLE_PARALLAX_STATUSES
 
 
 _Errors = TypeVar("_Errors", FlowErrors, DepthErrors, PoseErrors)
@@ -107,7 +107,7 @@ class ErrorSummary(Generic[_Errors]):
 class DepthMeans(ErrorSummary[DepthErrors]):
     """Errors of depth over pairs."""
 
-    # Pairs with a true depth but without a recovered depth. `pairs` does not count them.
+    # Pairs with a true depth but without an estimated depth. `pairs` does not count them.
     without_depth: int
 
 
@@ -128,7 +128,7 @@ class MeanErrors:
     # Means over the pairs with a true flow; `pixels` is the total of all pairs. None without such
     # pairs.
     errors: FlowErrors | None = None
-    # visible, without_sky: As in `PairEvaluation`. None unless every pair with a true flow has
+    # visible, without_sky: as in `PairEvaluation`. None unless every pair with a true flow has
     # them, because means over different sets of pairs cannot be compared.
     visible: FlowErrors | None = None
     without_sky: FlowErrors | None = None
@@ -143,33 +143,33 @@ class MeanErrors:
 
 def mean_errors(pairs: Sequence[PairEvaluation]) -> MeanErrors | None:
     """Return means over the evaluated pairs; None without such pairs."""
-    evaluated = [pair for pair in pairs if pair.seconds is not None]
-    if not evaluated:
+    evaluated_pairs = [pair for pair in pairs if pair.seconds is not None]
+    if not evaluated_pairs:
         return None
-    flows = [pair for pair in evaluated if pair.errors is not None]
+    pairs_with_flow = [pair for pair in evaluated_pairs if pair.errors is not None]
     return MeanErrors(
-        pairs=len(evaluated),
-        seconds=float(np.mean([pair.seconds for pair in evaluated])),
-        flow_pairs=len(flows),
-        errors=_mean_flow([pair.errors for pair in flows]),
-        visible=_mean_flow([pair.visible for pair in flows]),
-        without_sky=_mean_flow([pair.without_sky for pair in flows]),
-        occlusion=_joint_scores([pair.occlusion for pair in flows]),
-        depth=_depth_means(evaluated),
-        pose=_pose_means(evaluated),
+        pairs=len(evaluated_pairs),
+        seconds=float(np.mean([pair.seconds for pair in evaluated_pairs])),
+        flow_pairs=len(pairs_with_flow),
+        errors=_mean_flow([pair.errors for pair in pairs_with_flow]),
+        visible=_mean_flow([pair.visible for pair in pairs_with_flow]),
+        without_sky=_mean_flow([pair.without_sky for pair in pairs_with_flow]),
+        occlusion=_total_scores([pair.occlusion for pair in pairs_with_flow]),
+        depth=_depth_means(evaluated_pairs),
+        pose=_pose_means(evaluated_pairs),
     )
 
 
 def _depth_means(pairs: Sequence[PairEvaluation]) -> DepthMeans | None:
-    known = [pair for pair in pairs if pair.depth is not None or pair.without_depth]
-    errors = [pair.depth for pair in known if pair.depth is not None]
-    if not known:
+    pairs_with_truth = [pair for pair in pairs if pair.depth is not None or pair.without_depth]
+    errors = [pair.depth for pair in pairs_with_truth if pair.depth is not None]
+    if not pairs_with_truth:
         return None
     return DepthMeans(
         pairs=len(errors),
-        without_depth=len(known) - len(errors),
-        mean=_summary(DepthErrors, errors, np.mean) if errors else None,
-        median=_summary(DepthErrors, errors, np.median) if errors else None,
+        without_depth=len(pairs_with_truth) - len(errors),
+        mean=_reduce_errors(DepthErrors, errors, np.mean) if errors else None,
+        median=_reduce_errors(DepthErrors, errors, np.median) if errors else None,
     )
 
 
@@ -180,36 +180,41 @@ def _pose_means(pairs: Sequence[PairEvaluation]) -> PoseMeans | None:
     return PoseMeans(
         pairs=len(errors),
         without_direction=sum(error.direction is None for error in errors),
-        mean=_summary(PoseErrors, errors, np.mean),
-        median=_summary(PoseErrors, errors, np.median),
+        mean=_reduce_errors(PoseErrors, errors, np.mean),
+        median=_reduce_errors(PoseErrors, errors, np.median),
     )
 
 
 def _mean_flow(errors: Sequence[FlowErrors | None]) -> FlowErrors | None:
     """Return the mean of every error; None if a pair has no errors, or there is no pair."""
-    present = [error for error in errors if error is not None]
-    if not present or len(present) < len(errors):
+    known_errors = [error for error in errors if error is not None]
+    if not known_errors or len(known_errors) < len(errors):
         return None
-    return _summary(FlowErrors, present, np.mean, pixels=sum(error.pixels for error in present))
+    return _reduce_errors(
+        FlowErrors, known_errors, np.mean, pixels=sum(error.pixels for error in known_errors)
+    )
 
 
-def _summary(
-    kind: type[_Errors], errors: Sequence[_Errors], reduce: Callable[[list[Any]], Any], **given: Any
+def _reduce_errors(
+    error_class: type[_Errors],
+    errors: Sequence[_Errors],
+    reduce: Callable[[list[Any]], Any],
+    **fixed_values: Any,
 ) -> _Errors:
-    """Reduce each error separately over the pairs that have it, except for given values."""
+    """Reduce each error separately over the pairs that have it, except for fixed values."""
     reduced: dict[str, Any] = {}
-    for field in fields(kind):
+    for field in fields(error_class):
         values = [getattr(error, field.name) for error in errors]
-        known = [value for value in values if value is not None]
-        reduced[field.name] = float(reduce(known)) if known else None
-    return kind(**{**reduced, **given})
+        known_values = [value for value in values if value is not None]
+        reduced[field.name] = float(reduce(known_values)) if known_values else None
+    return error_class(**{**reduced, **fixed_values})
 
 
-def _joint_scores(scores: Sequence[OcclusionScores | None]) -> OcclusionScores | None:
+def _total_scores(scores: Sequence[OcclusionScores | None]) -> OcclusionScores | None:
     """Return the scores of all maps together; None if a map is missing, or there is no map."""
-    present = [score for score in scores if score is not None]
-    if not present or len(present) < len(scores):
+    known_scores = [score for score in scores if score is not None]
+    if not known_scores or len(known_scores) < len(scores):
         return None
     names = ("hits", "marked", "occluded", "pixels")
-    counts = {name: sum(getattr(score, name) for score in present) for name in names}
+    counts = {name: sum(getattr(score, name) for score in known_scores) for name in names}
     return OcclusionScores.from_counts(**counts)

@@ -13,29 +13,29 @@ from tisfm.evaluation.pair_errors import ErrorSummary, MeanErrors, mean_errors
 from tisfm.evaluation.pairs import Evaluation, PairEvaluation
 from tisfm.metrics import DepthErrors, OcclusionScores, PoseErrors
 
-_NOTHING = "–"  # cell without a value
+_EMPTY_CELL = "–"  # cell without a value
 _Row = PairEvaluation | MeanErrors
 
 # Headings and cells. Some columns exist only if a pair has such an error.
-_FLOW: dict[str, Callable[[_Row], str]] = {
-    "EPE, px": lambda row: f"{row.errors.endpoint:.3f}" if row.errors else _NOTHING,
-    "AAE, °": lambda row: f"{row.errors.angular:.2f}" if row.errors else _NOTHING,
-    "Fl, %": lambda row: f"{100 * row.errors.outliers:.2f}" if row.errors else _NOTHING,
-    "R1.0, %": lambda row: f"{100 * row.errors.over_one:.2f}" if row.errors else _NOTHING,
-    "EPE noc": lambda row: f"{row.visible.endpoint:.3f}" if row.visible else _NOTHING,
-    "EPE no sky": lambda row: f"{row.without_sky.endpoint:.3f}" if row.without_sky else _NOTHING,
+_FLOW_COLUMNS: dict[str, Callable[[_Row], str]] = {
+    "EPE, px": lambda row: f"{row.errors.endpoint:.3f}" if row.errors else _EMPTY_CELL,
+    "AAE, °": lambda row: f"{row.errors.angular:.2f}" if row.errors else _EMPTY_CELL,
+    "Fl, %": lambda row: f"{100 * row.errors.outliers:.2f}" if row.errors else _EMPTY_CELL,
+    "R1.0, %": lambda row: f"{100 * row.errors.over_one:.2f}" if row.errors else _EMPTY_CELL,
+    "EPE noc": lambda row: f"{row.visible.endpoint:.3f}" if row.visible else _EMPTY_CELL,
+    "EPE no sky": lambda row: f"{row.without_sky.endpoint:.3f}" if row.without_sky else _EMPTY_CELL,
     "occ F1, %": lambda row: _f1(row.occlusion),
 }
-_DEPTH: dict[str, Callable[[DepthErrors], str]] = {
+_DEPTH_COLUMNS: dict[str, Callable[[DepthErrors], str]] = {
     "abs-rel": lambda errors: f"{errors.abs_rel:.3f}",
     "all": lambda errors: f"{errors.abs_rel_all:.3f}",
     "SILog": lambda errors: f"{errors.silog:.2f}",
     "δ1, %": lambda errors: f"{100 * errors.delta1:.1f}",
     "depth, %": lambda errors: f"{100 * errors.density:.1f}",
 }
-_POSE: dict[str, Callable[[PoseErrors], str]] = {
+_POSE_COLUMNS: dict[str, Callable[[PoseErrors], str]] = {
     "direction, °": lambda errors: (
-        _NOTHING if errors.direction is None else f"{errors.direction:.2f}"
+        _EMPTY_CELL if errors.direction is None else f"{errors.direction:.2f}"
     ),
     "rotation, °": lambda errors: f"{errors.rotation:.4f}",
 }
@@ -74,22 +74,22 @@ def evaluation_tables(evaluation: Evaluation) -> list[Table]:
 
 
 def _flow_table(pairs: Sequence[PairEvaluation]) -> Table:
-    columns = dict(_FLOW)
+    columns = dict(_FLOW_COLUMNS)
     notes = [
-        "Fl: off by at least 3 px and 5 %; R1.0: by at least 1 px.",
+        "Fl: wrong by at least 3 px and 5 %; R1.0: by at least 1 px.",
         "Means are over pairs.",
         "Time of the interpretation alone, kernels compiled before.",
     ]
     if any(pair.visible for pair in pairs):
-        notes.insert(1, "noc: without what is occluded in the second frame.")
+        notes.insert(1, "noc: without pixels that are occluded in the second frame.")
     else:
         del columns["EPE noc"]
     if not any(pair.without_sky for pair in pairs):
         del columns["EPE no sky"]
     if any(pair.occlusion for pair in pairs):
-        notes.insert(-2, "occ F1: of our map of occlusion against the dataset's.")
+        notes.insert(-2, "occ F1: of the estimated occlusion against the dataset's.")
         notes[notes.index("Means are over pairs.")] = (
-            "Means are over pairs, but occ F1 is over the pixels of all of them."
+            "Means are over pairs, but occ F1 is over the pixels of all pairs."
         )
     else:
         del columns["occ F1, %"]
@@ -97,8 +97,8 @@ def _flow_table(pairs: Sequence[PairEvaluation]) -> Table:
     def cells(row: _Row) -> list[str]:
         return [text(row) for text in columns.values()]
 
-    def summaries(name: str, among: Sequence[PairEvaluation]) -> list[_Line]:
-        means = mean_errors(among)
+    def summaries(name: str, group: Sequence[PairEvaluation]) -> list[_Line]:
+        means = mean_errors(group)
         if means is None:
             return []
         return [_Line(f"{name}, mean of {means.flow_pairs}", cells(means), means.seconds)]
@@ -112,39 +112,39 @@ def _flow_table(pairs: Sequence[PairEvaluation]) -> Table:
 
 def _depth_table(pairs: Sequence[PairEvaluation]) -> Table:
     notes = [
-        "After scaling by the median, of every pair its own. abs-rel: mean |ΔZ|/Z; "
-        "all: the same over all pixels of known depth, those without one taken as far; SILog: 100 "
-        "times the deviation of log Z; δ1: off by a factor below 1.25; depth: share of the "
-        "pixels of known depth that have one."
+        "After scaling by the median of each pair. abs-rel: mean |ΔZ|/Z; all: the same over all "
+        "pixels of known depth, where pixels without depth count as far; SILog: 100 times the "
+        "deviation of log Z; δ1: wrong by a factor below 1.25; depth: share of the pixels of known "
+        "depth that have depth."
     ]
     if any(pair.without_depth for pair in pairs):
-        notes.append("Pairs without depth are counted, but in no mean or median.")
+        notes.append("Means and medians leave out pairs without depth.")
     return _errors_table(
         "Depth against the truth",
         notes,
-        _DEPTH,
+        _DEPTH_COLUMNS,
         pairs,
-        of_pair=lambda pair: pair.depth,
-        of_means=lambda means: means.depth,
+        errors_of_pair=lambda pair: pair.depth,
+        errors_of_means=lambda means: means.depth,
     )
 
 
 def _pose_table(pairs: Sequence[PairEvaluation]) -> Table:
     notes = [
-        "direction: angle between the translations, 180 if opposite; rotation: angle of what is "
-        "left between the rotations."
+        "direction: angle between the translations, 180 if opposite; rotation: angle between the "
+        "rotations."
     ]
     if not any(pair.pose for pair in pairs):
-        notes.append("Only --motion camera recovers a pose.")
+        notes.append("Only --motion camera estimates a pose.")
     if any(pair.pose and pair.pose.direction is None for pair in pairs):
-        notes.append("Pairs without direction are in no mean or median of it.")
+        notes.append("Means and medians of the direction leave out pairs without direction.")
     return _errors_table(
         "Pose against the truth",
         notes,
-        _POSE,
+        _POSE_COLUMNS,
         pairs,
-        of_pair=lambda pair: pair.pose,
-        of_means=lambda means: means.pose,
+        errors_of_pair=lambda pair: pair.pose,
+        errors_of_means=lambda means: means.pose,
     )
 
 
@@ -154,26 +154,28 @@ def _errors_table(
     columns: dict[str, Callable[[_Errors], str]],
     pairs: Sequence[PairEvaluation],
     *,
-    of_pair: Callable[[PairEvaluation], _Errors | None],
-    of_means: Callable[[MeanErrors], ErrorSummary[_Errors] | None],
+    errors_of_pair: Callable[[PairEvaluation], _Errors | None],
+    errors_of_means: Callable[[MeanErrors], ErrorSummary[_Errors] | None],
 ) -> Table:
     """Return a table with means, medians, and counts of pairs without errors by reason."""
 
     def cells(errors: _Errors | None) -> list[str]:
-        return [text(errors) if errors else _NOTHING for text in columns.values()]
+        return [text(errors) if errors else _EMPTY_CELL for text in columns.values()]
 
-    def summaries(name: str, among: Sequence[PairEvaluation]) -> list[_Line]:
-        means = mean_errors(among)
-        found = None if means is None else of_means(means)
+    def summaries(name: str, group: Sequence[PairEvaluation]) -> list[_Line]:
+        means = mean_errors(group)
+        summary = None if means is None else errors_of_means(means)
         lines = []
-        if found is not None and found.pairs:
-            seconds = [pair.seconds for pair in among if pair.seconds is not None]
-            for word, errors, time in (
-                ("mean", found.mean, np.mean(seconds)),
-                ("median", found.median, np.median(seconds)),
+        if summary is not None and summary.pairs:
+            seconds = [pair.seconds for pair in group if pair.seconds is not None]
+            for statistic, errors, time in (
+                ("mean", summary.mean, np.mean(seconds)),
+                ("median", summary.median, np.median(seconds)),
             ):
-                lines.append(_Line(f"{name}, {word} of {found.pairs}", cells(errors), float(time)))
-        reasons = Counter(_missing_depth(pair) for pair in among if pair.fault is None)
+                lines.append(
+                    _Line(f"{name}, {statistic} of {summary.pairs}", cells(errors), float(time))
+                )
+        reasons = Counter(_missing_depth(pair) for pair in group if pair.fault is None)
         del reasons[""]
         return lines + [
             _Line(f"{name}, {reason}: {count}", cells(None), None)
@@ -184,7 +186,7 @@ def _errors_table(
     for pair in pairs:
         reason = "failed" if pair.fault is not None else _missing_depth(pair)
         name = f"{pair.label} ({reason})" if reason else pair.label
-        lines.append(_Line(name, cells(of_pair(pair)), pair.seconds))
+        lines.append(_Line(name, cells(errors_of_pair(pair)), pair.seconds))
     return _table(title, notes, list(columns), pairs, lines, summaries)
 
 
@@ -202,9 +204,9 @@ def _table(
     for heading in (*headings, "s"):
         table.add_column(heading, justify="right", no_wrap=True)
 
-    def add(lines: Sequence[_Line], *, style: str | None = None) -> None:
+    def add_lines(lines: Sequence[_Line], *, style: str | None = None) -> None:
         for line in lines:
-            time = _NOTHING if line.seconds is None else f"{line.seconds:.2f}"
+            time = _EMPTY_CELL if line.seconds is None else f"{line.seconds:.2f}"
             # Text, because Rich reads square brackets in a plain string as markup.
             table.add_row(Text(line.name), *line.cells, time, style=style)
 
@@ -212,12 +214,12 @@ def _table(
     for index, pair in enumerate(pairs):
         groups.setdefault(pair.pair.dataset, []).append(index)
     for name, members in groups.items():
-        add([lines[index] for index in members])
+        add_lines([lines[index] for index in members])
         if len(members) > 1:
-            add(summaries(name, [pairs[index] for index in members]), style="bold")
+            add_lines(summaries(name, [pairs[index] for index in members]), style="bold")
         table.add_section()
     if len(groups) > 1:
-        add(summaries("all", pairs), style="bold")
+        add_lines(summaries("all", pairs), style="bold")
     return table
 
 
@@ -230,4 +232,4 @@ def _missing_depth(pair: PairEvaluation) -> str:
 
 def _f1(scores: OcclusionScores | None) -> str:
     """Return F1 in percent; no value if no pixel is occluded."""
-    return f"{100 * scores.f1:.1f}" if scores is not None and scores.occluded else _NOTHING
+    return f"{100 * scores.f1:.1f}" if scores is not None and scores.occluded else _EMPTY_CELL

@@ -11,7 +11,12 @@ import numpy as np
 from tisfm.camera import Camera, check_pinhole
 from tisfm.datasets import DatasetPair, LoadedPair
 from tisfm.errors import InputError, InputTypeError, is_user_error
-from tisfm.evaluation.pair_errors import LITTLE_PARALLAX, MeanErrors, PairEvaluation, mean_errors
+from tisfm.evaluation.pair_errors import (
+    LITTLE_PARALLAX_STATUSES,
+    MeanErrors,
+    PairEvaluation,
+    mean_errors,
+)
 from tisfm.interpretation import Interpretation
 from tisfm.lens import undistort_depth
 from tisfm.metrics import (
@@ -95,7 +100,7 @@ def evaluate(
     pair, is given to the interpretation. For a camera with distortion or oblong pixels, the true
     depth is resampled like the frames. A pair that cannot be read, interpreted or compared is
     recorded as failed, and the evaluation goes on. Kernels are compiled beforehand, so that times
-    do not include it.
+    do not include the compilation.
 
     Parameters
     ----------
@@ -108,7 +113,7 @@ def evaluate(
     give_poses : bool
         Whether to give all true poses and compare depth alone, for ``motion="camera"``.
     max_depth : float, optional
-        True depth beyond it counts as unknown; in the unit of the dataset.
+        Larger true depth counts as unknown; in the unit of the dataset.
     on_load : callable, optional
         Called with a loaded pair before it is interpreted. Its errors make the pair fail.
     on_pair : callable, optional
@@ -124,7 +129,7 @@ def evaluate(
     TypeError
         If `camera` or `settings` is not of its type.
     ValueError
-        If `camera` has distortion or oblong pixels, as the true flow is that of the original
+        If `camera` has distortion or oblong pixels, as the true flow belongs to the original
         frames; if poses are given to another motion, or `max_depth` is not positive.
     Exception
         An unexpected error, which is a bug of tisfm.
@@ -154,19 +159,19 @@ def evaluate(
         )
     if max_depth is not None and not max_depth > 0:
         raise InputError(f"max_depth is {max_depth}: expected a positive depth, or None")
-    compiled: set[Any] = set()
-    done = []
+    compiled_kinds: set[Any] = set()
+    evaluations = []
     for pair in dict.fromkeys(pairs):
         try:
             loaded = pair.load()
             pair_camera = camera or loaded.camera or Camera()
-            loaded = _prepared(loaded, pair_camera, give_poses=give_poses, max_depth=max_depth)
+            loaded = _prepare(loaded, pair_camera, give_poses=give_poses, max_depth=max_depth)
             if on_load is not None:
                 on_load(loaded)
             kind = (loaded.frame0.shape[2:], loaded.frame0.dtype)
-            if kind not in compiled:
+            if kind not in compiled_kinds:
                 _warm_up(settings, *kind)
-                compiled.add(kind)
+                compiled_kinds.add(kind)
             evaluation, result = _evaluate_pair(pair, loaded, camera=pair_camera, settings=settings)
             if on_pair is not None:
                 on_pair(evaluation, result, loaded)
@@ -177,8 +182,8 @@ def evaluate(
             evaluation = PairEvaluation(pair=pair, fault=text)
             if on_pair is not None:
                 on_pair(evaluation, None, None)
-        done.append(evaluation)
-    return Evaluation(settings=settings, pairs=tuple(done))
+        evaluations.append(evaluation)
+    return Evaluation(settings=settings, pairs=tuple(evaluations))
 
 
 def as_record(evaluation: PairEvaluation) -> dict[str, Any]:
@@ -196,9 +201,11 @@ def _evaluate_pair(
     pair: DatasetPair, loaded: LoadedPair, *, camera: Camera, settings: Settings
 ) -> tuple[PairEvaluation, Interpretation]:
     """Interpret one pair and compare it with the truth."""
-    given = loaded.pose if loaded.pose_given and settings.motion == "camera" else None
+    given_pose = loaded.pose if loaded.pose_given and settings.motion == "camera" else None
     begin = time.perf_counter()
-    result = interpret(loaded.frame0, loaded.frame1, camera=camera, settings=settings, pose=given)
+    result = interpret(
+        loaded.frame0, loaded.frame1, camera=camera, settings=settings, pose=given_pose
+    )
     seconds = time.perf_counter() - begin
     height, width = loaded.frame0.shape[:2]
     depth = _depth_errors(result, loaded)
@@ -212,7 +219,7 @@ def _evaluate_pair(
         errors=None if loaded.flow is None else flow_errors(result.flow, loaded.flow),
         visible=_errors_outside(result.flow, loaded.flow, loaded.occlusion),
         without_sky=_errors_outside(result.flow, loaded.flow, loaded.sky),
-        occlusion=_scores(result.occlusion, loaded),
+        occlusion=_compare_occlusion(result.occlusion, loaded),
         depth=depth,
         without_depth=loaded.depth is not None and depth is None,
         pose=_pose_errors(result, loaded),
@@ -220,15 +227,15 @@ def _evaluate_pair(
     return evaluation, result
 
 
-def _prepared(
+def _prepare(
     loaded: LoadedPair, camera: Camera, *, give_poses: bool, max_depth: float | None
 ) -> LoadedPair:
-    """Return a pair with undistorted true depth, and the decision whether its pose is given.
+    """Return a pair with undistorted true depth, and with `pose_given` set.
 
     Raises ValueError if no true depth is left.
     """
-    given = loaded.pose_given or (give_poses and loaded.pose is not None)
-    loaded = replace(loaded, pose_given=given)
+    is_given = loaded.pose_given or (give_poses and loaded.pose is not None)
+    loaded = replace(loaded, pose_given=is_given)
     if loaded.depth is None:
         return loaded
     depth = undistort_depth(loaded.depth, camera)
@@ -236,18 +243,18 @@ def _prepared(
         depth = np.where(depth <= max_depth, depth, np.float32(np.nan))
     if not np.isfinite(depth).any():
         limit = "" if max_depth is None else f" up to {max_depth:g}"
-        known = np.count_nonzero(np.isfinite(loaded.depth))
-        raise InputError(f"no true depth is left{limit} of {known} pixels that have one")
+        known_count = np.count_nonzero(np.isfinite(loaded.depth))
+        raise InputError(f"no true depth is left{limit} of {known_count} pixels that have one")
     return replace(loaded, depth=depth)
 
 
 def _depth_errors(result: Interpretation, loaded: LoadedPair) -> DepthErrors | None:
     """Compare the depth with the true depth; return None if one of them is missing."""
-    if loaded.depth is None or result.status in LITTLE_PARALLAX:
+    if loaded.depth is None or result.status in LITTLE_PARALLAX_STATUSES:
         return None
     depth = result.depth
-    comparable = np.isfinite(loaded.depth) & np.isfinite(depth) & (depth > 0)
-    return depth_errors(depth, loaded.depth) if comparable.any() else None
+    is_comparable = np.isfinite(loaded.depth) & np.isfinite(depth) & (depth > 0)
+    return depth_errors(depth, loaded.depth) if is_comparable.any() else None
 
 
 def _pose_errors(result: Interpretation, loaded: LoadedPair) -> PoseErrors | None:
@@ -255,7 +262,7 @@ def _pose_errors(result: Interpretation, loaded: LoadedPair) -> PoseErrors | Non
     if result.motions is None or loaded.pose is None or loaded.pose_given:
         return None
     errors = pose_errors(pose_matrix(result.motions[0]), loaded.pose)
-    return replace(errors, direction=None) if result.status in LITTLE_PARALLAX else errors
+    return replace(errors, direction=None) if result.status in LITTLE_PARALLAX_STATUSES else errors
 
 
 def _errors_outside(
@@ -264,26 +271,26 @@ def _errors_outside(
     """Return the errors without the pixels of a mask; None without a mask or without pixels."""
     if truth is None or mask is None:
         return None
-    counted = ~mask
-    known = np.isfinite(truth).all(axis=-1)
-    return flow_errors(flow, truth, mask=counted) if (counted & known).any() else None
+    is_compared = ~mask
+    has_truth = np.isfinite(truth).all(axis=-1)
+    return flow_errors(flow, truth, mask=is_compared) if (is_compared & has_truth).any() else None
 
 
-def _scores(occlusion: np.ndarray, loaded: LoadedPair) -> OcclusionScores | None:
+def _compare_occlusion(occlusion: np.ndarray, loaded: LoadedPair) -> OcclusionScores | None:
     """Compare a map of occlusion with that of the dataset; return None if it has no map."""
     if loaded.flow is None or loaded.occlusion is None:
         return None
-    known = np.isfinite(loaded.flow).all(axis=-1)
+    has_truth = np.isfinite(loaded.flow).all(axis=-1)
     # Datasets differ in whether pixels that leave the image are occluded; here they are.
     truth = loaded.occlusion | leaves_image(np.moveaxis(loaded.flow, -1, 0))
-    return occlusion_scores(occlusion, truth, mask=known)
+    return occlusion_scores(occlusion, truth, mask=has_truth)
 
 
 def _warm_up(settings: Settings, channels: tuple[int, ...], dtype: np.dtype) -> None:
     """Interpret a small pair of noise, so that every kernel is compiled before it is timed."""
     noise = np.random.default_rng(0).integers(0, 256, (_WARM_UP_SIDE, _WARM_UP_SIDE, *channels))
-    frame = noise.astype(dtype)
-    moved = np.roll(frame, 1, axis=1)
-    nearer = slice(_WARM_UP_SIDE // 2, None)  # parallax, so that kernels for depth run too
-    moved[nearer] = np.roll(frame, 3, axis=1)[nearer]
-    interpret(frame, moved, camera=Camera(focal=_WARM_UP_SIDE), settings=settings)
+    frame0 = noise.astype(dtype)
+    frame1 = np.roll(frame0, 1, axis=1)
+    near_rows = slice(_WARM_UP_SIDE // 2, None)  # parallax, so that kernels for depth run too
+    frame1[near_rows] = np.roll(frame0, 3, axis=1)[near_rows]
+    interpret(frame0, frame1, camera=Camera(focal=_WARM_UP_SIDE), settings=settings)

@@ -29,11 +29,11 @@ class FrameDepthErrors:
 
     frame: int
     error: float  # as `tisfm.metrics.limited_error`; 1 for a frame without depth
-    # as `tisfm.metrics.certain_error`, over the 40 % of the pixels with the least relative
-    # deviation; 1 for a frame without depth, None for a frame without deviations
+    # as `tisfm.metrics.certain_error`, over the 40 % of the pixels with the smallest
+    # relative deviation; 1 for a frame without depth, None for a frame without deviations
     certain: float | None
     share: float  # share of the pixels of known depth that have depth
-    scale: float | None  # Best scale for this frame alone: the median of d*/d. None without depth.
+    scale: float | None  # best scale for this frame alone: the median of d*/d; None without depth
     # as `tisfm.metrics.flicker`, from this frame to the next; None if a depth map is missing
     flicker: float | None
 
@@ -54,7 +54,7 @@ class SequenceDepthErrors:
     error : float
         Median over frames, see `FrameDepthErrors`.
     certain : float or None
-        The same; None if a frame with depth has no deviations.
+        Median over frames; None if a frame with depth has no deviations.
     mean_error : float
         Mean over frames.
     share : float
@@ -72,8 +72,8 @@ class SequenceDepthErrors:
     >>> from tisfm.evaluation import compare_sequence
     >>> (sequence,) = find_sequences("calibrated")
     >>> result = tisfm.Reconstruction.load("walk")
-    >>> found = compare_sequence(sequence, sequence.load(), result, camera=result.camera)
-    >>> found.depth.frames, found.depth.certain <= found.depth.error
+    >>> errors = compare_sequence(sequence, sequence.load(), result, camera=result.camera)
+    >>> errors.depth.frames, errors.depth.certain <= errors.depth.error
     (9, True)
     """
 
@@ -95,7 +95,7 @@ def sequence_depth_errors(
     *,
     camera: Camera,  # camera of the original frames: true depth is resampled like these
     scale: float | None = None,  # factor of the depth; by default the median of d*/d of all frames
-    max_depth: float | None = None,  # true depth beyond it counts as unknown
+    max_depth: float | None = None,  # larger true depth counts as unknown
 ) -> SequenceDepthErrors | None:  # none if no frame has a true depth
     """Compare the depth of a sequence with the true depth.
 
@@ -103,56 +103,62 @@ def sequence_depth_errors(
 
     Raises FormatError, OSError if a true map cannot be read.
     """
-    ratios, best = LogMedian(), dict[int, float | None]()
+    ratios, best_scales = LogMedian(), dict[int, float | None]()
     for index in range(len(loaded.frames)):
-        true = _truth(loaded, index, camera, max_depth)
+        true = _true_depth(loaded, index, camera, max_depth)
         if true is not None:
-            found = depth_ratios(result.inverse_depth(index), true)
-            ratios.add(found)
-            best[index] = float(np.median(found)) if len(found) else None
-    if not best:
+            frame_ratios = depth_ratios(result.inverse_depth(index), true)
+            ratios.add(frame_ratios)
+            best_scales[index] = float(np.median(frame_ratios)) if len(frame_ratios) else None
+    if not best_scales:
         return None
     if scale is None:
         scale = ratios.median() or 1.0
-    frames = _frames(loaded, result, camera, max_depth, scale, best)
+    frames = _compare_frames(loaded, result, camera, max_depth, scale, best_scales)
     scales = [frame.scale for frame in frames if frame.scale is not None]
     certain = [frame.certain for frame in frames if frame.certain is not None]
-    deviations = len(certain) == len(frames)
-    changes = [frame.flicker for frame in frames if frame.flicker is not None]
+    has_deviations = len(certain) == len(frames)
+    flickers = [frame.flicker for frame in frames if frame.flicker is not None]
     return SequenceDepthErrors(
         frames=len(frames),
         without=len(frames) - len(scales),
         scale=scale,
         error=median(frame.error for frame in frames),
-        certain=median(certain) if deviations else None,
+        certain=median(certain) if has_deviations else None,
         mean_error=fmean(frame.error for frame in frames),
         share=fmean(frame.share for frame in frames),
         scale_spread=float(np.std(np.log(scales))) if scales else None,
-        flicker=fmean(changes) if changes else None,
+        flicker=fmean(flickers) if flickers else None,
         per_frame=tuple(frames),
     )
 
 
-def _frames(
+def _compare_frames(
     loaded: LoadedSequence,
     result: SequenceResult,
     camera: Camera,
     max_depth: float | None,
     scale: float,
-    best: dict[int, float | None],
+    best_scales: dict[int, float | None],
 ) -> list[FrameDepthErrors]:
     """Compare every frame with a true depth; each map is read once."""
     frames: list[FrameDepthErrors] = []
-    later: tuple[int, NDArray, NDArray] | None = None  # the frame after, going backwards
-    for index in sorted(best, reverse=True):
-        true = _truth(loaded, index, camera, max_depth)
+    next_frame: tuple[int, NDArray, NDArray] | None = (
+        None  # the frame after this one: frames are compared from the last to the first
+    )
+    for index in sorted(best_scales, reverse=True):
+        true = _true_depth(loaded, index, camera, max_depth)
         assert true is not None
         inverse = result.inverse_depth(index)
-        change = None
-        if later is not None and later[0] == index + 1 and loaded.posed[index : index + 2].all():
-            change = flicker(
+        flicker_to_next = None
+        if (
+            next_frame is not None
+            and next_frame[0] == index + 1
+            and loaded.posed[index : index + 2].all()
+        ):
+            flicker_to_next = flicker(
                 (inverse, true),
-                later[1:],
+                next_frame[1:],
                 motion_between(loaded.poses[index], loaded.poses[index + 1]),
                 focal=camera.focal,
                 center=camera.center_for(*true.shape),
@@ -160,30 +166,32 @@ def _frames(
             )
         error: float = ERROR_WITHOUT_DEPTH
         certain: float | None = ERROR_WITHOUT_DEPTH
-        if best[index] is not None:
+        if best_scales[index] is not None:
             error = limited_error(inverse, true, scale=scale)
-            certain = _certain(inverse, result.inverse_depth_std(index), true, scale)
+            certain = _certain_error_or_none(inverse, result.inverse_depth_std(index), true, scale)
         frames.append(
             FrameDepthErrors(
                 frame=index,
                 error=error,
                 certain=certain,
                 share=estimated_share(inverse, true),
-                scale=best[index],
-                flicker=change,
+                scale=best_scales[index],
+                flicker=flicker_to_next,
             )
         )
-        later = index, inverse, true
+        next_frame = index, inverse, true
     return frames[::-1]
 
 
-def _certain(inverse: NDArray, deviation: NDArray, true: NDArray, scale: float) -> float | None:
+def _certain_error_or_none(
+    inverse: NDArray, deviation: NDArray, true: NDArray, scale: float
+) -> float | None:
     if not np.isfinite(deviation).any():
         return None
     return certain_error(inverse, deviation, true, scale=scale)
 
 
-def _truth(
+def _true_depth(
     loaded: LoadedSequence, index: int, camera: Camera, max_depth: float | None
 ) -> NDArray | None:
     """Return the true depth of a frame, without distortion; None if it is unknown."""

@@ -37,7 +37,7 @@ class SequenceResult(Protocol):
 class TrajectoryResult:
     """A trajectory from a file, as a result without depth.
 
-    Raises ValueError if the number of poses differs from the frames, or no time is that of a frame.
+    Raises ValueError if the number of poses differs from the frames, or no time belongs to a frame.
     """
 
     def __init__(
@@ -51,23 +51,23 @@ class TrajectoryResult:
         self.poses = trajectory.poses
         if trajectory.times is not None:
             times = np.arange(count, dtype=float) if loaded.times is None else loaded.times
-            mine, theirs = associate(times, trajectory.times)
-            if not len(mine):
+            frame_indices, pose_indices = associate(times, trajectory.times)
+            if not len(frame_indices):
                 unit = "numbers of frames" if loaded.times is None else "s"
                 raise InputError(
                     f"{source} has no pose of any frame: its times begin at "
                     f"{trajectory.times[0]:g}, those of the frames at {times[0]:g} ({unit})"
                 )
             self.poses = np.full((count, 4, 4), np.nan)
-            self.poses[mine] = trajectory.poses[theirs]
+            self.poses[frame_indices] = trajectory.poses[pose_indices]
         elif len(trajectory.poses) != count:
             raise InputError(
                 f"{source} has {len(trajectory.poses)} poses, but there are {count} frames: "
                 "expected a line for every frame, or times (TUM's format)"
             )
-        posed = np.isfinite(self.poses[:, 0, 0])
-        self.piece = np.where(posed, 0, -1).astype(np.int32)
-        self.status = ["read" if known else "no pose" for known in posed]
+        has_pose = np.isfinite(self.poses[:, 0, 0])
+        self.piece = np.where(has_pose, 0, -1).astype(np.int32)
+        self.status = ["read" if known else "no pose" for known in has_pose]
 
     def inverse_depth(self, index: int) -> NDArray[np.float32]:
         """Raise ValueError: a trajectory has no depth."""

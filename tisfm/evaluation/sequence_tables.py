@@ -7,7 +7,7 @@ from rich.text import Text
 
 from tisfm.evaluation.sequences import PieceErrors, SequenceEvaluation
 
-_NOTHING = "–"
+_EMPTY_CELL = "–"
 
 
 def sequence_tables(evaluations: Sequence[SequenceEvaluation]) -> list[Table]:
@@ -17,10 +17,14 @@ def sequence_tables(evaluations: Sequence[SequenceEvaluation]) -> list[Table]:
     for every sequence.
     """
     tables = []
-    paths = [e for e in evaluations if e.fault or (e.path is not None and not e.poses_given)]
+    paths = [
+        evaluation
+        for evaluation in evaluations
+        if evaluation.fault or (evaluation.path is not None and not evaluation.poses_given)
+    ]
     if paths:
         tables.append(_path_table(paths))
-    depths = [e for e in evaluations if e.depth is not None]
+    depths = [evaluation for evaluation in evaluations if evaluation.depth is not None]
     if depths:
         tables.append(_depth_table(depths))
     return tables
@@ -33,18 +37,18 @@ def _path_table(evaluations: Sequence[SequenceEvaluation]) -> Table:
         title="Paths against the truth",
         caption="ATE: root mean square distance of the centres after the best similarity, in % of "
         "the true path and in m; rigid: after the best rigid motion. RPE: of the motions from "
-        "frame to frame, and to the tenth after it; drift: of those along 10–80 % of the path, or "
-        "along 100–800 m, per length. All but rigid in the scale of the alignment. A row for each "
-        "piece.",
+        "frame to frame, and to the tenth after it; drift: of the motions along 10–80 % of the "
+        "path, or along 100–800 m, per length. All but rigid are in the scale of the alignment. A "
+        "row for each piece.",
     )
     table.add_column("", overflow="fold")
     for heading in headings:
         table.add_column(heading, justify="right", no_wrap=True)
     for evaluation in evaluations:
-        seconds = _number(evaluation.seconds, ".1f")
+        seconds = _format_number(evaluation.seconds, ".1f")
         if evaluation.fault or not evaluation.pieces:
             reason = "failed" if evaluation.fault else "no pose"
-            cells = [_NOTHING] * (len(headings) - 1)
+            cells = [_EMPTY_CELL] * (len(headings) - 1)
             table.add_row(Text(f"{evaluation.sequence.name} ({reason})"), *cells, seconds)
         for number, piece in enumerate(evaluation.pieces):
             name = evaluation.sequence.name if number == 0 else "  another piece"
@@ -55,20 +59,20 @@ def _path_table(evaluations: Sequence[SequenceEvaluation]) -> Table:
 
 
 def _path_cells(piece: PieceErrors) -> list[str]:
-    absolute, along = piece.absolute, piece.drift
+    absolute, drift = piece.absolute, piece.drift
     cells = [
-        _percent(piece.share),
-        _NOTHING if absolute is None else f"{absolute.similarity:.4f}",
-        _percent(piece.rigid_share),
+        _format_percent(piece.share),
+        _EMPTY_CELL if absolute is None else f"{absolute.similarity:.4f}",
+        _format_percent(piece.rigid_share),
     ]
     for relative in (piece.relative, piece.relative_step):
         if relative is None:
-            cells += [_NOTHING, _NOTHING]
+            cells += [_EMPTY_CELL, _EMPTY_CELL]
         else:
             cells += [f"{relative.translation:.4f}", f"{relative.rotation:.3f}"]
-    if along is None:
-        return [*cells, _NOTHING, _NOTHING]
-    return [*cells, _percent(along.translation), f"{along.rotation:.3f}"]
+    if drift is None:
+        return [*cells, _EMPTY_CELL, _EMPTY_CELL]
+    return [*cells, _format_percent(drift.translation), f"{drift.rotation:.3f}"]
 
 
 def _depth_table(evaluations: Sequence[SequenceEvaluation]) -> Table:
@@ -76,7 +80,7 @@ def _depth_table(evaluations: Sequence[SequenceEvaluation]) -> Table:
         title="Depth of sequences against the truth",
         caption="In one scale for all frames of a sequence, 1 where the poses were given. error: "
         "|ΔZ|/Z over all pixels of known depth, where pixels without depth count as infinitely "
-        "far and a frame without depth as 1; surest: over the 40 % with the least relative "
+        "far and a frame without depth as 1; surest: over the 40 % with the smallest relative "
         "deviation; both are medians over frames. pixels: share with depth. spread: standard "
         "deviation of the logarithm of the best scale of a frame; flicker: mean change of relative "
         "inverse depth along the true flow.",
@@ -91,17 +95,17 @@ def _depth_table(evaluations: Sequence[SequenceEvaluation]) -> Table:
             Text(evaluation.sequence.name),
             f"{depth.frames - depth.without} of {depth.frames}",
             f"{depth.error:.3f}",
-            _number(depth.certain, ".3f"),
+            _format_number(depth.certain, ".3f"),
             f"{100 * depth.share:.1f}",
-            _number(depth.scale_spread, ".3f"),
-            _number(depth.flicker, ".4f"),
+            _format_number(depth.scale_spread, ".3f"),
+            _format_number(depth.flicker, ".4f"),
         )
     return table
 
 
-def _number(value: float | None, form: str) -> str:
-    return _NOTHING if value is None else f"{value:{form}}"
+def _format_number(value: float | None, format_spec: str) -> str:
+    return _EMPTY_CELL if value is None else f"{value:{format_spec}}"
 
 
-def _percent(value: float | None) -> str:
-    return _NOTHING if value is None else f"{100 * value:.2f}"
+def _format_percent(value: float | None) -> str:
+    return _EMPTY_CELL if value is None else f"{100 * value:.2f}"

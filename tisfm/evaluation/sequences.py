@@ -26,8 +26,8 @@ from tisfm.metrics import (
 from tisfm.reconstruction.progress import Progress
 from tisfm.settings import Settings
 
-STEP = 10  # frames: distance for `relative_step`; set by hand
-MIN_POSES = 3  # in a piece: an alignment fits fewer poses exactly
+LONG_STEP = 10  # frames: distance for `relative_step`; set by hand
+MIN_POSES = 3  # poses of a piece: an alignment fits fewer poses exactly
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +40,7 @@ class PieceErrors:
     frames : int
         Frames with a pose in the piece.
     absolute : AbsoluteErrors or None
-        None if fewer than 3 of these have a true pose.
+        None if fewer than 3 of these frames have a true pose.
     share : float or None
         `absolute.similarity` over the length of the true path of the whole sequence; None for a
         static camera.
@@ -59,8 +59,8 @@ class PieceErrors:
     >>> from tisfm.evaluation import compare_sequence
     >>> (sequence,) = find_sequences("calibrated")
     >>> result = tisfm.Reconstruction.load("walk")
-    >>> found = compare_sequence(sequence, sequence.load(), result, camera=result.camera)
-    >>> piece = found.pieces[0]
+    >>> errors = compare_sequence(sequence, sequence.load(), result, camera=result.camera)
+    >>> piece = errors.pieces[0]
     >>> piece.frames, piece.share < 0.05  # of the length of the path
     (9, True)
     """
@@ -150,13 +150,13 @@ def compare_sequence(
     result : SequenceResult
         Poses and depth of each frame.
     camera : Camera
-        Camera of the original frames: the true depth is resampled to its pinhole picture.
+        Camera of the original frames: the true depth is resampled to its pinhole image.
     step : int
         Step with which `loaded` was loaded.
     poses_given : bool
         Whether poses were given: they are then not compared, and depth is not scaled.
     max_depth : float, optional
-        True depth beyond it counts as unknown, m.
+        Larger true depth counts as unknown, m.
     with_depth : bool
         Whether to compare depth.
     seconds : float, optional
@@ -180,8 +180,8 @@ def compare_sequence(
     >>> from tisfm.evaluation import compare_sequence
     >>> (sequence,) = find_sequences("calibrated")
     >>> result = tisfm.Reconstruction.load("walk")
-    >>> found = compare_sequence(sequence, sequence.load(), result, camera=result.camera)
-    >>> found.posed, found.depth.error < 0.2
+    >>> errors = compare_sequence(sequence, sequence.load(), result, camera=result.camera)
+    >>> errors.posed, errors.depth.error < 0.2
     (9, True)
     """
     count = len(loaded.frames)
@@ -191,18 +191,18 @@ def compare_sequence(
             "one for each frame; give the result of the same frames, with the same step"
         )
     path = path_length(loaded.poses) if loaded.posed.any() else None
-    known_depth = with_depth and any(file is not None for file in loaded.depths)
+    compares_depth = with_depth and any(file is not None for file in loaded.depths)
     return SequenceEvaluation(
         sequence=sequence,
         step=step,
         frames=count,
         posed=int(np.isfinite(result.poses[:, 0, 0]).sum()),
         path=path,
-        pieces=() if poses_given else _pieces(result, loaded, path),
+        pieces=() if poses_given else _compare_pieces(result, loaded, path),
         depth=sequence_depth_errors(
             loaded, result, camera=camera, scale=1.0 if poses_given else None, max_depth=max_depth
         )
-        if known_depth
+        if compares_depth
         else None,
         poses_given=poses_given,
         seconds=seconds,
@@ -266,35 +266,35 @@ def as_record(evaluation: SequenceEvaluation) -> dict[str, Any]:
     }
 
 
-def _pieces(
+def _compare_pieces(
     result: SequenceResult, loaded: LoadedSequence, path: float | None
 ) -> tuple[PieceErrors, ...]:
     pieces = np.asarray(result.piece)
     numbers, counts = np.unique(pieces[pieces >= 0], return_counts=True)
     order = np.argsort(-counts, kind="stable")
-    found = []
+    piece_errors = []
     for number in numbers[order]:
-        mine = (pieces == number)[:, None, None]
-        poses = np.where(mine, result.poses, np.nan)
-        found.append(_piece(int(number), poses, loaded.poses, path))
-    return tuple(found)
+        is_in_piece = (pieces == number)[:, None, None]
+        poses = np.where(is_in_piece, result.poses, np.nan)
+        piece_errors.append(_compare_piece(int(number), poses, loaded.poses, path))
+    return tuple(piece_errors)
 
 
-def _piece(
+def _compare_piece(
     number: int, poses: NDArray[np.float64], truth: NDArray[np.float64], path: float | None
 ) -> PieceErrors:
-    posed = np.isfinite(poses[:, 0, 0])
-    both = posed & np.isfinite(truth[:, 0, 0])
-    if both.sum() < MIN_POSES:
-        return PieceErrors(piece=number, frames=int(posed.sum()))
+    has_pose = np.isfinite(poses[:, 0, 0])
+    has_both = has_pose & np.isfinite(truth[:, 0, 0])
+    if has_both.sum() < MIN_POSES:
+        return PieceErrors(piece=number, frames=int(has_pose.sum()))
     absolute = absolute_errors(poses, truth)
     return PieceErrors(
         piece=number,
-        frames=int(posed.sum()),
+        frames=int(has_pose.sum()),
         absolute=absolute,
         share=absolute.similarity / path if path else None,
         rigid_share=absolute.rigid / path if path else None,
         relative=relative_errors(poses, truth, scale=absolute.scale),
-        relative_step=relative_errors(poses, truth, step=STEP, scale=absolute.scale),
+        relative_step=relative_errors(poses, truth, step=LONG_STEP, scale=absolute.scale),
         drift=drift(poses, truth, scale=absolute.scale),
     )

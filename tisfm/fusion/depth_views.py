@@ -62,7 +62,7 @@ class DepthView:
         values = {
             "inverse_depth": inverse_depth,
             "inverse_depth_std": std,
-            "pose": _checked_pose(self.pose),
+            "pose": _check_pose(self.pose),
             "frame": frame,
         }
         for name, value in values.items():
@@ -108,19 +108,19 @@ class ViewSummary:
     # depth, deviation: medians of depth Z and of its standard deviation
     depth: float
     deviation: float
-    farthest: float  # greatest Z that is used
+    max_z: float  # greatest Z that is used
     focal: float  # focal length, px
-    field: float  # angle from the optical axis to the farthest corner of the image, rad
+    field_angle: float  # angle from the optical axis to the farthest corner of the image, rad
 
 
 class PosedViews:
-    """Views that are read when they are needed; the last ones used stay in memory.
+    """Views that are read when they are needed; the views used last stay in memory.
 
     Views without a pose, or without usable depth, are left out: `len` and indices are those of the
     other views. The unit of length is the median of the median depths of the views, so that numbers
     are near 1.
 
-    Raises TypeError, ValueError if an option or a view is not as above.
+    Raises TypeError, ValueError if an option or a view is not valid.
     """
 
     def __init__(
@@ -131,7 +131,7 @@ class PosedViews:
         max_relative_std: float,  # depth with a larger relative standard deviation is not used
         # depth beyond this multiple of the median depth of its view is not used
         max_depth: float | None,
-        held: int = 1,  # number of views that stay in memory
+        cached_views: int = 1,  # number of views that stay in memory
     ) -> None:
         if not (hasattr(views, "__len__") and hasattr(views, "__getitem__")):
             raise InputTypeError(
@@ -143,23 +143,25 @@ class PosedViews:
             check_positive(max_depth, "max_depth", "a positive number of median depths, or None")
         self._views = views
         self._max_relative_std, self._max_depth = max_relative_std, max_depth
-        self._cached = lru_cache(maxsize=held)(self._prepare)
+        self._prepare_cached = lru_cache(maxsize=cached_views)(self._prepare)
         summaries = [(index, self._summarise(index)) for index in range(len(views))]
         self._indices = [index for index, summary in summaries if summary]
-        self._unscaled = [summary for _, summary in summaries if summary]
+        self._unscaled_summaries = [summary for _, summary in summaries if summary]
         # the unit of length, in the unit of the poses; 1 without views
-        self.unit = float(np.median([summary.depth for summary in self._unscaled] or [1.0]))
+        self.unit = float(
+            np.median([summary.depth for summary in self._unscaled_summaries] or [1.0])
+        )
         # summaries of the views, in that unit
-        self.seen = [
+        self.summaries = [
             ViewSummary(
-                pose=_scaled(seen.pose, self.unit),
-                depth=seen.depth / self.unit,
-                deviation=seen.deviation / self.unit,
-                farthest=seen.farthest / self.unit,
-                focal=seen.focal,
-                field=seen.field,
+                pose=_scale_pose(summary.pose, self.unit),
+                depth=summary.depth / self.unit,
+                deviation=summary.deviation / self.unit,
+                max_z=summary.max_z / self.unit,
+                focal=summary.focal,
+                field_angle=summary.field_angle,
             )
-            for seen in self._unscaled
+            for summary in self._unscaled_summaries
         ]
 
     def __len__(self) -> int:
@@ -169,17 +171,17 @@ class PosedViews:
         return (self[n] for n in range(len(self)))
 
     def __getitem__(self, n: int) -> PosedDepth:
-        return self._cached(n)
+        return self._prepare_cached(n)
 
     def _prepare(self, n: int) -> PosedDepth:
         view = self._view(self._indices[n])
-        usable = self._usable(view, self._unscaled[n].farthest)
-        height, width = usable.shape
+        is_usable = self._usable_pixels(view, self._unscaled_summaries[n].max_z)
+        height, width = is_usable.shape
         frame = view.frame if view.frame.ndim == 3 else view.frame[..., None]
         cx, cy = view.camera.center_for(height, width)
-        inverse_depth = np.where(usable, view.inverse_depth, 0) * np.float64(self.unit)
+        inverse_depth = np.where(is_usable, view.inverse_depth, 0) * np.float64(self.unit)
         with np.errstate(invalid="ignore"):
-            deviation = np.where(usable, view.inverse_depth_std, 0) * np.float64(self.unit)
+            deviation = np.where(is_usable, view.inverse_depth_std, 0) * np.float64(self.unit)
         focal = view.camera.focal
         return PosedDepth(
             inverse_depth=inverse_depth.astype(np.float32),
@@ -187,7 +189,7 @@ class PosedViews:
             colors=np.ascontiguousarray(
                 np.broadcast_to(frame, (height, width, 3)), dtype=np.float32
             ),
-            pose=_scaled(view.pose, self.unit),
+            pose=_scale_pose(view.pose, self.unit),
             intrinsics=np.array([[focal, 0, cx], [0, focal, cy], [0, 0, 1]]),
         )
 
@@ -202,32 +204,32 @@ class PosedViews:
         view = self._view(index)
         if not np.isfinite(view.pose).all():
             return None
-        usable = self._usable(view, math.inf)
-        if not usable.any():
+        is_usable = self._usable_pixels(view, math.inf)
+        if not is_usable.any():
             return None
-        values = view.inverse_depth[usable].astype(float)
+        values = view.inverse_depth[is_usable].astype(float)
         median = float(np.median(values))
-        relative = float(np.median(view.inverse_depth_std[usable] / values))
-        bound = 0.0 if self._max_depth is None else median / self._max_depth
-        height, width = usable.shape
+        relative = float(np.median(view.inverse_depth_std[is_usable] / values))
+        min_inverse_depth = 0.0 if self._max_depth is None else median / self._max_depth
+        height, width = is_usable.shape
         cx, cy = view.camera.center_for(height, width)
-        half = [max(c + 0.5, n - 0.5 - c) for c, n in ((cx, width), (cy, height))]
+        half_sizes = [max(c + 0.5, n - 0.5 - c) for c, n in ((cx, width), (cy, height))]
         return ViewSummary(
             pose=view.pose,
             depth=1 / median,
             deviation=max(relative, MIN_RELATIVE_STD) / median,
-            farthest=1 / max(float(values.min()), bound),
+            max_z=1 / max(float(values.min()), min_inverse_depth),
             focal=view.camera.focal,
-            field=math.atan2(math.hypot(*half), view.camera.focal),
+            field_angle=math.atan2(math.hypot(*half_sizes), view.camera.focal),
         )
 
-    def _usable(self, view: DepthView, farthest: float) -> NDArray[np.bool_]:
+    def _usable_pixels(self, view: DepthView, max_z: float) -> NDArray[np.bool_]:
         inverse_depth, std = view.inverse_depth, view.inverse_depth_std
-        usable = np.isfinite(inverse_depth) & (inverse_depth > 0) & np.isfinite(std) & (std >= 0)
+        is_usable = np.isfinite(inverse_depth) & (inverse_depth > 0) & np.isfinite(std) & (std >= 0)
         with np.errstate(invalid="ignore", over="ignore"):
-            usable &= std <= self._max_relative_std * inverse_depth
-            usable &= inverse_depth * np.float64(farthest) >= 1 - 1e-6
-        return usable
+            is_usable &= std <= self._max_relative_std * inverse_depth
+            is_usable &= inverse_depth * np.float64(max_z) >= 1 - 1e-6
+        return is_usable
 
 
 def check_positive(value: object, name: str, expected: str = "a positive number") -> None:
@@ -238,13 +240,13 @@ def check_positive(value: object, name: str, expected: str = "a positive number"
         raise InputError(f"{name} is {value:g}: expected {expected}")
 
 
-def _scaled(pose: Floats, unit: float) -> Floats:
-    scaled = pose.copy()
-    scaled[:3, 3] /= unit
-    return scaled
+def _scale_pose(pose: Floats, unit: float) -> Floats:
+    scaled_pose = pose.copy()
+    scaled_pose[:3, 3] /= unit
+    return scaled_pose
 
 
-def _checked_pose(pose: Floats) -> Floats:
+def _check_pose(pose: Floats) -> Floats:
     matrix = np.array(check_unmasked(pose, "pose"), dtype=float)
     if matrix.shape != (4, 4):
         raise InputError(f"pose is {matrix.shape}: expected (4, 4), camera to world")

@@ -14,7 +14,7 @@ MAX_DISTANCE_CHANGE = 1.0
 _MIN_DISTANCE = 1 / 1024
 _BATCH_SIDE = 16  # blocks along the edge of a batch
 _BITS = 20  # bits of a voxel coordinate
-_INSIDE = 3  # instead of an axis (0 to 2): a vertex inside a cell
+_INSIDE_CELL = 3  # instead of an axis (0 to 2): a vertex inside a cell
 
 Surface = tuple[Floats, NDArray[np.int32]]
 
@@ -27,22 +27,26 @@ def extract_surface(field: DistanceField, agreeing: int) -> Surface:
     and no view sees between them.
     """
     vertices, edges, faces = [np.empty((0, 3))], [np.empty(0, np.int64)], [np.empty((0, 3), int)]
-    where = np.flatnonzero(((field.distance < 0) & (field.views >= agreeing)).any(axis=1))
+    surface_blocks = np.flatnonzero(((field.distance < 0) & (field.views >= agreeing)).any(axis=1))
     # A cell belongs to the block of its lowest voxel.
     offsets = np.array(list(np.ndindex(2, 2, 2)))
-    neighbour_numbers = block_numbers(block_coordinates(field.numbers[where])[:, None] - offsets)
+    neighbour_numbers = block_numbers(
+        block_coordinates(field.numbers[surface_blocks])[:, None] - offsets
+    )
     owners = np.intersect1d(field.numbers, neighbour_numbers)
-    total = 0
+    vertex_count = 0
     for first in range(0, len(owners), _BATCH_SIDE**3):
         batch = _extract_batch(field, owners[first : first + _BATCH_SIDE**3], agreeing)
         vertices.append(batch[0])
         edges.append(batch[1])
-        faces.append(batch[2] + total)
-        total += len(batch[0])
+        faces.append(batch[2] + vertex_count)
+        vertex_count += len(batch[0])
     # Adjacent blocks have the same vertices on the edges that they share.
-    _, first_indices, one = np.unique(np.concatenate(edges), return_index=True, return_inverse=True)
-    joined = one.ravel()[np.concatenate(faces)].reshape(-1, 3)
-    return np.concatenate(vertices)[first_indices] * field.voxel, joined.astype(np.int32)
+    _, first_indices, vertex_numbers = np.unique(
+        np.concatenate(edges), return_index=True, return_inverse=True
+    )
+    joined_faces = vertex_numbers.ravel()[np.concatenate(faces)].reshape(-1, 3)
+    return np.concatenate(vertices)[first_indices] * field.voxel, joined_faces.astype(np.int32)
 
 
 def _extract_batch(
@@ -64,7 +68,7 @@ def _extract_batch(
     nearest_voxels = np.rint(positions)
     is_on_voxel = np.abs(positions - nearest_voxels) < _MIN_DISTANCE / 4
     # A vertex between two voxels is off the grid along one axis; other vertices are inside a cell.
-    axis = np.where(is_on_voxel.sum(axis=1) == 2, np.argmin(is_on_voxel, axis=1), _INSIDE)
+    axis = np.where(is_on_voxel.sum(axis=1) == 2, np.argmin(is_on_voxel, axis=1), _INSIDE_CELL)
     lower = np.where(is_on_voxel, nearest_voxels, np.floor(positions)).astype(np.int64)
     tile, local = lower // 9, lower % 9
     origin = 8 * block_coordinates(

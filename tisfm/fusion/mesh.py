@@ -101,12 +101,12 @@ class Mesh:
 
 # Defaults, set by hand:
 VOXEL_PIXELS = 2.0  # edge of a voxel, px at the median depth
-# Least edge of a voxel, median deviations of depth: finer ones show noise.
+# Smallest edge of a voxel, median deviations of depth: smaller voxels show noise.
 MIN_VOXEL_DEVIATIONS = 0.5
 TRUNCATION_VOXELS = 4.0  # truncation distance, voxels
-MIN_TRUNCATION_DEVIATIONS = 3.0  # least truncation distance, median deviations of depth
+MIN_TRUNCATION_DEVIATIONS = 3.0  # smallest truncation distance, median deviations of depth
 UNSEEN_GREY = 128  # grey level of vertices that no view shows
-_MIN_ENLARGEMENT = 1.1  # least factor by which voxels grow if the default is too small
+_MIN_ENLARGEMENT = 1.1  # smallest factor by which voxels grow if the default is too small
 
 
 def fused_mesh(
@@ -126,7 +126,7 @@ def fused_mesh(
     # tells the edge.
     voxel: float | None = None,
     # Greatest distance from the surface in the field, in the unit of the poses. Objects must be
-    # thicker than it. By default the larger of 4 voxels and 3 median deviations of depth.
+    # thicker. By default the larger of 4 voxels and 3 median deviations of depth.
     truncation: float | None = None,
 ) -> Mesh:
     """Fuse depth maps into a mesh by a truncated signed distance field (TSDF).
@@ -154,8 +154,8 @@ def fused_mesh(
         if value is not None:
             check_positive(value, name)
     check_scikit_image()
-    read = PosedViews(views, max_relative_std=max_relative_std, max_depth=max_depth)
-    if not len(read):
+    posed_views = PosedViews(views, max_relative_std=max_relative_std, max_depth=max_depth)
+    if not len(posed_views):
         empty = np.empty((0, 3))
         return Mesh(
             vertices=empty.astype(np.float32),
@@ -164,48 +164,50 @@ def fused_mesh(
             voxel=float(voxel or 0),
         )
     runtime.start()
-    needed = min(agreeing, len(read))
-    field, truncation_distance = _field(read, voxel, truncation, needed)
-    vertices, faces = extract_surface(field, needed)
-    colors = _colors(read, vertices, truncation_distance)
+    min_views = min(agreeing, len(posed_views))
+    field, truncation_distance = _build_field(posed_views, voxel, truncation, min_views)
+    vertices, faces = extract_surface(field, min_views)
+    colors = _mean_colors(posed_views, vertices, truncation_distance)
     return Mesh(
-        vertices=(vertices * read.unit).astype(np.float32),
+        vertices=(vertices * posed_views.unit).astype(np.float32),
         faces=faces,
         colors=colors,
-        voxel=field.voxel * read.unit,
+        voxel=field.voxel * posed_views.unit,
     )
 
 
-def _field(
+def _build_field(
     views: PosedViews, voxel: float | None, truncation: float | None, agreeing: int
 ) -> tuple[DistanceField, float]:
     """Return the field and its truncation distance, in the unit of the views."""
-    deviation = float(np.median([summary.deviation for summary in views.seen]))
+    deviation = float(np.median([summary.deviation for summary in views.summaries]))
     if voxel is None:
-        pixel = float(np.median([summary.depth / summary.focal for summary in views.seen]))
-        side = max(VOXEL_PIXELS * pixel, MIN_VOXEL_DEVIATIONS * deviation)
+        pixel = float(np.median([summary.depth / summary.focal for summary in views.summaries]))
+        voxel_side = max(VOXEL_PIXELS * pixel, MIN_VOXEL_DEVIATIONS * deviation)
     else:
-        side = voxel / views.unit
+        voxel_side = voxel / views.unit
     while True:
         if truncation is None:
             truncation_distance = max(
-                TRUNCATION_VOXELS * side, MIN_TRUNCATION_DEVIATIONS * deviation
+                TRUNCATION_VOXELS * voxel_side, MIN_TRUNCATION_DEVIATIONS * deviation
             )
         else:
             truncation_distance = truncation / views.unit
         try:
-            return integrate_views(views, side, truncation_distance, agreeing), truncation_distance
+            return integrate_views(
+                views, voxel_side, truncation_distance, agreeing
+            ), truncation_distance
         except VoxelTooSmallError as error:
             if voxel is not None:
                 raise InputError(
                     f"voxel is {voxel:g}: the surface would need more than {MAX_BLOCKS} blocks of "
                     f"8×8×8 voxels, the most that is kept in memory; give at least "
-                    f"{1.05 * error.larger * voxel:.2g}, or a smaller max_depth"
+                    f"{1.05 * error.factor * voxel:.2g}, or a smaller max_depth"
                 ) from None
-            side *= max(_MIN_ENLARGEMENT, error.larger)
+            voxel_side *= max(_MIN_ENLARGEMENT, error.factor)
 
 
-def _colors(
+def _mean_colors(
     views: PosedViews, vertices: NDArray[np.float64], max_distance: float
 ) -> NDArray[np.uint8]:
     """Return the mean colour of each vertex, (V, 3)."""

@@ -29,11 +29,15 @@ def choose_neighbours(
     """
     difference = _differences(summaries[n], summaries)
     difference[n] = math.inf
-    order = np.argsort(difference, kind="stable")
-    usable = min(count, np.count_nonzero(difference <= MAX_DIFFERENCE))
-    similar = order[: max(usable, np.count_nonzero(difference <= SIMILAR_DIFFERENCE))]
-    chosen = np.linspace(0, len(similar) - 1, min(count, len(similar))).round().astype(int)
-    return [int(similar[k]) for k in chosen]
+    sorted_views = np.argsort(difference, kind="stable")
+    usable_count = min(count, np.count_nonzero(difference <= MAX_DIFFERENCE))
+    similar_views = sorted_views[
+        : max(usable_count, np.count_nonzero(difference <= SIMILAR_DIFFERENCE))
+    ]
+    indices = (
+        np.linspace(0, len(similar_views) - 1, min(count, len(similar_views))).round().astype(int)
+    )
+    return [int(similar_views[k]) for k in indices]
 
 
 def _differences(view: ViewSummary, summaries: Sequence[ViewSummary]) -> Floats:
@@ -48,14 +52,14 @@ def _differences(view: ViewSummary, summaries: Sequence[ViewSummary]) -> Floats:
     poses = np.array([other.pose for other in summaries])
     rays = view.pose[:3, 3] + view.depth * axis - poses[:, :3, 3]
     distance = np.linalg.norm(rays, axis=1)
-    at_point = distance == 0
-    distance[at_point] = 1
+    is_at_point = distance == 0
+    distance[is_at_point] = 1
     rays /= distance[:, None]
     from_axis = np.arccos(np.clip((rays * poses[:, :3, 2]).sum(axis=1), -1, 1))
     parallax = np.arccos(np.clip(rays @ axis, -1, 1))
-    fields = np.array([other.field for other in summaries])
+    fields = np.array([other.field_angle for other in summaries])
     difference = from_axis / fields + parallax + np.abs(np.log(distance / view.depth))
-    return np.where(at_point, math.inf, difference)
+    return np.where(is_at_point, math.inf, difference)
 
 
 NEIGHBOUR_COUNT = 8
@@ -70,8 +74,8 @@ def fused_points(
     # time are in memory.
     views: Sequence[DepthView],
     *,
-    # number of views that must show a point, its own view included; all views if
-    # there are fewer
+    # number of views that must show a point, including the view it comes from; all views if there
+    # are fewer
     agreeing: int = 3,
     # depth with a larger relative standard deviation is not used
     max_relative_std: float = 0.05,
@@ -100,16 +104,20 @@ def fused_points(
     if voxel is not None:
         check_positive(voxel, "voxel")
     posed_views = PosedViews(
-        views, max_relative_std=max_relative_std, max_depth=max_depth, held=2 * NEIGHBOUR_COUNT + 1
+        views,
+        max_relative_std=max_relative_std,
+        max_depth=max_depth,
+        cached_views=2 * NEIGHBOUR_COUNT + 1,
     )
     runtime.start()
     min_views = min(agreeing, len(posed_views))
     points = _PointList()
     for n, view in enumerate(posed_views):
         others = [
-            posed_views[other] for other in choose_neighbours(n, posed_views.seen, NEIGHBOUR_COUNT)
+            posed_views[other]
+            for other in choose_neighbours(n, posed_views.summaries, NEIGHBOUR_COUNT)
         ]
-        points.add(*_points_of(view, others, points.shown_by(view), min_views))
+        points.add(*_agreed_points(view, others, points.shown_pixels(view), min_views))
     if voxel is not None:
         points.thin(voxel / posed_views.unit)
     return PointCloud(
@@ -141,7 +149,7 @@ class _PointList:
         self.colors = np.concatenate([self.colors, colors])
         self.confidence = np.concatenate([self.confidence, confidence])
 
-    def shown_by(self, view: PosedDepth) -> NDArray[np.bool_]:
+    def shown_pixels(self, view: PosedDepth) -> NDArray[np.bool_]:
         """Return the pixels of a view, (H, W) bool, that show one of the points."""
         from tisfm.kernels.fusion.agreement import mark_pixels_of_points
 
@@ -175,7 +183,7 @@ class _PointList:
         self.relative_deviation = (1 / np.sqrt(total)).astype(np.float32)
 
 
-def _points_of(
+def _agreed_points(
     view: PosedDepth, others: Sequence[PosedDepth], is_shown: NDArray[np.bool_], min_views: int
 ) -> tuple[NDArray[np.float32], ...]:
     """Return the points of a view that enough views agree on: the arguments of `_PointList.add`."""

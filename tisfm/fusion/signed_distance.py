@@ -12,12 +12,12 @@ MAX_BLOCKS = 150_000  # blocks of a field, 6 KB each: 0.9 GB
 MAX_CANDIDATES = 16 * MAX_BLOCKS  # blocks while views are counted, 12 bytes each
 # Sampling of a view's rays for the blocks near its surface; set by hand:
 _BAND_ROWS = 64  # rows of sampled pixels that are processed at a time
-_SAMPLES_PER_BLOCK = 3  # least number of pixels sampled across a block in the image
+_SAMPLES_PER_BLOCK = 3  # smallest number of pixels sampled across a block in the image
 _MAX_PIXEL_STEP = 8  # px between sampled pixels, for large blocks
 _RAY_STEP = 4.0  # voxels between the sampled points of a ray
 _MAX_RAY_SAMPLES = 101  # sampled points of a ray
 _BITS = 17  # bits of a block coordinate, so that a voxel coordinate has 20
-_HALF = 2 ** (_BITS - 1)
+_COORDINATE_OFFSET = 2 ** (_BITS - 1)
 
 Blocks = NDArray[np.int64]
 """Block numbers: three coordinates of `_BITS` bits each."""
@@ -28,10 +28,10 @@ class VoxelTooSmallError(Exception):
 
     def __init__(
         self,
-        larger: float,  # estimate of the least factor by which the voxels must be larger
+        factor: float,  # estimate of the smallest factor by which the voxels must be larger
     ) -> None:
-        super().__init__(f"voxels must be {larger:g} times as large")
-        self.larger = larger
+        super().__init__(f"voxels must be {factor:g} times as large")
+        self.factor = factor
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,12 +49,15 @@ class DistanceField:
 def block_coordinates(numbers: Blocks) -> NDArray[np.int64]:
     """Return the coordinates of blocks, (N, 3), in blocks from the world's origin."""
     mask = 2**_BITS - 1
-    return np.stack([(numbers >> (shift * _BITS)) & mask for shift in (2, 1, 0)], axis=1) - _HALF
+    return (
+        np.stack([(numbers >> (shift * _BITS)) & mask for shift in (2, 1, 0)], axis=1)
+        - _COORDINATE_OFFSET
+    )
 
 
 def block_numbers(blocks: NDArray[np.int64]) -> Blocks:
     """Return the numbers of blocks at the coordinates (…, 3)."""
-    x, y, z = np.moveaxis(blocks + _HALF, -1, 0)
+    x, y, z = np.moveaxis(blocks + _COORDINATE_OFFSET, -1, 0)
     return (((x << _BITS) | y) << _BITS) | z
 
 
@@ -87,14 +90,14 @@ def _select_blocks(views: PosedViews, voxel: float, truncation: float, agreeing:
     Blocks near errors of single views would be many more.
     """
     numbers, count = np.empty(0, np.int64), np.empty(0, np.int32)
-    for view, summary in zip(views, views.seen, strict=True):
-        view_numbers = _find_near_blocks(view, summary.farthest, voxel, truncation)
+    for view, summary in zip(views, views.summaries, strict=True):
+        view_numbers = _find_near_blocks(view, summary.max_z, voxel, truncation)
         all_numbers = np.union1d(numbers, view_numbers)
-        counted = np.zeros(len(all_numbers), np.int32)
-        counted[np.searchsorted(all_numbers, numbers)] = count
+        view_counts = np.zeros(len(all_numbers), np.int32)
+        view_counts[np.searchsorted(all_numbers, numbers)] = count
         view_indices = np.searchsorted(all_numbers, view_numbers)
-        counted[view_indices] += 1
-        numbers, count = all_numbers, counted
+        view_counts[view_indices] += 1
+        numbers, count = all_numbers, view_counts
         if len(numbers) > MAX_CANDIDATES:
             is_kept = count >= min(agreeing, 2)
             is_kept[view_indices] = True  # later views may add to their counts
@@ -107,7 +110,7 @@ def _select_blocks(views: PosedViews, voxel: float, truncation: float, agreeing:
     return numbers
 
 
-def _find_near_blocks(view: PosedDepth, farthest: float, voxel: float, truncation: float) -> Blocks:
+def _find_near_blocks(view: PosedDepth, max_z: float, voxel: float, truncation: float) -> Blocks:
     """Return the numbers of the blocks near the surface of a view, ascending.
 
     Pixels are sampled densely enough for the smallest block in the image.
@@ -115,21 +118,24 @@ def _find_near_blocks(view: PosedDepth, farthest: float, voxel: float, truncatio
     from tisfm.kernels.fusion.distance_field import BLOCK_EDGE, CORNERS, find_blocks
 
     edge = BLOCK_EDGE * voxel
-    low, high = _bounds(view, farthest + truncation, 2 * voxel)
-    first = np.floor(low / edge)
-    extent = np.floor(high / edge) - first + 1
-    if np.abs([first, first + extent]).max() >= _HALF - 1 or extent.prod() >= 2**31:
-        too_many = np.cbrt(extent.prod() / 2**31)
-        too_far = np.abs([first, first + extent]).max() / (_HALF - 1)
-        raise VoxelTooSmallError(1.01 * max(too_many, too_far))
+    low, high = _view_bounds(view, max_z + truncation, 2 * voxel)
+    first_block = np.floor(low / edge)
+    extent = np.floor(high / edge) - first_block + 1
+    if (
+        np.abs([first_block, first_block + extent]).max() >= _COORDINATE_OFFSET - 1
+        or extent.prod() >= 2**31
+    ):
+        count_factor = np.cbrt(extent.prod() / 2**31)
+        range_factor = np.abs([first_block, first_block + extent]).max() / (_COORDINATE_OFFSET - 1)
+        raise VoxelTooSmallError(1.01 * max(count_factor, range_factor))
     samples = 1 + 2 * int(np.ceil(truncation / (_RAY_STEP * voxel)))
     if samples > _MAX_RAY_SAMPLES:
         raise VoxelTooSmallError(samples / _MAX_RAY_SAMPLES)
     nx, ny, nz = extent.astype(int).tolist()
-    across = edge * view.intrinsics[0, 0] / farthest
-    step = int(np.clip(across / _SAMPLES_PER_BLOCK, 1, _MAX_PIXEL_STEP))
+    block_pixels = edge * view.intrinsics[0, 0] / max_z
+    step = int(np.clip(block_pixels / _SAMPLES_PER_BLOCK, 1, _MAX_PIXEL_STEP))
     rays = view.to_world / voxel
-    rays[:, 3] -= first * BLOCK_EDGE
+    rays[:, 3] -= first_block * BLOCK_EDGE
     height, width = view.inverse_depth.shape
     numbers_of_rows = []
     for top in range(0, height, _BAND_ROWS * step):
@@ -151,15 +157,15 @@ def _find_near_blocks(view: PosedDepth, farthest: float, voxel: float, truncatio
         numbers_of_rows.append(np.unique(row_numbers[is_first]))
     flat = np.unique(np.concatenate(numbers_of_rows)).astype(np.int64)
     blocks = np.stack([flat // (ny * nz), flat // nz % ny, flat % nz], axis=1)
-    return np.sort(block_numbers(blocks + first.astype(np.int64)))
+    return np.sort(block_numbers(blocks + first_block.astype(np.int64)))
 
 
-def _bounds(view: PosedDepth, farthest: float, margin: float) -> tuple[Floats, Floats]:
-    """Return the least and the greatest coordinates of the space that a view sees, and a margin."""
+def _view_bounds(view: PosedDepth, max_z: float, margin: float) -> tuple[Floats, Floats]:
+    """Return the smallest and greatest coordinates of the space that a view sees, with a margin."""
     height, width = view.inverse_depth.shape
     corners = np.array([(x, y, 1) for x in (-0.5, width - 0.5) for y in (-0.5, height - 0.5)])
     rays = view.to_world
-    ends = np.vstack([corners @ rays[:, :3].T * farthest, np.zeros(3)]) + rays[:, 3]
+    ends = np.vstack([corners @ rays[:, :3].T * max_z, np.zeros(3)]) + rays[:, 3]
     return ends.min(axis=0) - margin, ends.max(axis=0) + margin
 
 
@@ -180,7 +186,7 @@ def _integrate(
         block_coordinates(numbers) * (BLOCK_EDGE * voxel) @ to_pixels[:, :3].T + to_pixels[:, 3]
     )
     steps = np.ascontiguousarray(voxel * to_pixels[:, :3].T)
-    index = np.flatnonzero(_in_frustum(view, corners, steps * (BLOCK_EDGE - 1), truncation))
+    index = np.flatnonzero(_blocks_in_frustum(view, corners, steps * (BLOCK_EDGE - 1), truncation))
     integrate(
         view.inverse_depth,
         view.deviation,
@@ -195,7 +201,7 @@ def _integrate(
     )
 
 
-def _in_frustum(
+def _blocks_in_frustum(
     view: PosedDepth,
     corners: Floats,  # (N, 3) float64: (u z, v z, z) of the first voxel of each block
     # (3, 3) float64: difference of (u z, v z, z) from the first to the last voxel, along each axis
@@ -204,10 +210,10 @@ def _in_frustum(
 ) -> NDArray[np.bool_]:
     """Return which blocks may intersect the frustum of a view."""
     height, width = view.inverse_depth.shape
-    farthest = 1 / view.inverse_depth[view.inverse_depth > 0].min() + truncation
-    sides = np.array(  # each is positive inside
+    max_z = 1 / view.inverse_depth[view.inverse_depth > 0].min() + truncation
+    planes = np.array(  # each is positive inside
         [[1, 0, 0.5], [-1, 0, width - 0.5], [0, 1, 0.5], [0, -1, height - 0.5], [0, 0, 1]]
     )
-    extent = np.maximum(across @ sides.T, 0).sum(axis=0)
-    is_inside = (corners @ sides.T + extent >= 0).all(axis=1)
-    return is_inside & (corners[:, 2] + np.minimum(across[:, 2], 0).sum() <= farthest)
+    extent = np.maximum(across @ planes.T, 0).sum(axis=0)
+    is_inside = (corners @ planes.T + extent >= 0).all(axis=1)
+    return is_inside & (corners[:, 2] + np.minimum(across[:, 2], 0).sum() <= max_z)

@@ -23,7 +23,7 @@ from tisfm.solver.sampling import FAR_FLOW, spline_taps
 from tisfm.solver.three_frames import ThreeFrameData
 from tisfm.solver.unknowns import Unknowns
 from tisfm.threads import start_in_second_thread
-from tisfm.visibility.occlusion import occlusion, residual_of
+from tisfm.visibility.occlusion import flow_residual, occlusion
 
 MIN_COUNT = 1e-4  # pixels: smallest number in a window, as a divisor
 MIN_DETERMINANT = 1e-6  # px⁴, of the variances of the flow
@@ -143,7 +143,7 @@ class PreviousFrame:
         """Return the residual of a flow of the last level in the next frame."""
         pyramid, level = self._pyramid, self._pyramid.last
         frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
-        return residual_of(frame0, frame1, flow, self._settings, spline1=pyramid.spline1(level))
+        return flow_residual(frame0, frame1, flow, self._settings, spline1=pyramid.spline1(level))
 
     def _find_hidden(self, flow: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """Return the pixels of the last level that a flow hides in the next frame."""

@@ -14,7 +14,7 @@ from tisfm.settings import Settings
 from tisfm.solver.coarse_to_fine import Records, resize_to_finest
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.solver.unknowns import Unknowns
-from tisfm.visibility.confidence import ROUNDING, median
+from tisfm.visibility.confidence import MIN_RELATIVE_GRADIENT, median
 
 Refinement = Literal["none", "translation", "motion"]
 
@@ -47,7 +47,7 @@ class RigidSolution:
         precision += MIN_DIVISOR
         residual = cv2.blur(fields[3], window)
         # Without texture the residual is small, too, so the median residual is its lower bound.
-        is_textured = fields[0] > ROUNDING * fields[0].max()
+        is_textured = fields[0] > MIN_RELATIVE_GRADIENT * fields[0].max()
         median_residual = median(fields[3][is_textured]) if is_textured.any() else 0.0
         np.maximum(residual, median_residual, out=residual)
         smoothing = fields[4] * np.float32(1 / np.pi)  # 1/(4πκ)

@@ -12,14 +12,14 @@ from tisfm.errors import OutOfRangeError
 from tisfm.status import Status
 
 Floats = NDArray[np.float32]
-# smallest Z of a pixel's ray, with Z = 1, after the motion; with less it points behind the camera.
-# The value exceeds rounding errors.
+# A ray with Z = 1 points behind the camera after a motion if its Z is smaller than this value. The
+# value is larger than rounding errors.
 _MIN_MOVED_Z = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ResultFrame:
-    """Everything a result has about one frame."""
+    """The data of one frame of a result."""
 
     number: int  # index in the result
     picture: NDArray[np.uint8] = field(repr=False)  # (H, W, 3) uint8: red, green, blue
@@ -81,9 +81,9 @@ class ResultFrame:
         """Standard deviation of inverse depth over inverse depth, (H, W); NaN if unknown."""
         if self.inverse_depth_std is None:
             return None
-        is_known = self.has_depth & np.isfinite(self.inverse_depth_std)
+        has_deviation = self.has_depth & np.isfinite(self.inverse_depth_std)
         ratio = np.full(self.shape, np.nan, np.float32)
-        np.divide(self.inverse_depth_std, self.inverse_depth, out=ratio, where=is_known)
+        np.divide(self.inverse_depth_std, self.inverse_depth, out=ratio, where=has_deviation)
         return ratio
 
     @cached_property
@@ -131,7 +131,7 @@ class ResultFrame:
             )
         inverse = float(self.inverse_depth[row, column])
         has_depth = bool(self.has_depth[row, column])
-        deviation = self._at(self.inverse_depth_std, row, column)
+        deviation = self._value_at(self.inverse_depth_std, row, column)
         label = None if self.labels is None else int(self.labels[row, column])
         flow = None if self.flow is None else self.flow[row, column].astype(float)
         tau = omega = tau_std = flow_std = None
@@ -159,12 +159,12 @@ class ResultFrame:
             omega=omega,
             flow=None if flow is None or not np.isfinite(flow).all() else flow,
             flow_std=flow_std,
-            confidence=self._at(self.confidence, row, column),
+            confidence=self._value_at(self.confidence, row, column),
             label=label,
             hidden=self.hidden is not None and bool(self.hidden[row, column]),
         )
 
-    def _at(self, values: Floats | None, row: int, column: int) -> float | None:
+    def _value_at(self, values: Floats | None, row: int, column: int) -> float | None:
         return None if values is None else float(values[row, column])
 
     def _flow_and_slope(

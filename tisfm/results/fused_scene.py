@@ -14,7 +14,7 @@ from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 FusedKind = Literal["points", "surface"]
 KINDS: tuple[FusedKind, ...] = get_args(FusedKind)
-FILES: dict[FusedKind, tuple[str, ...]] = {
+FILE_NAMES: dict[FusedKind, tuple[str, ...]] = {
     "points": ("points.ply",),
     "surface": ("mesh.ply", "mesh.glb"),
 }
@@ -22,7 +22,7 @@ FILES: dict[FusedKind, tuple[str, ...]] = {
 MAX_KEYFRAMES = 60  # keyframes that are fused
 MAX_POINTS = 500_000
 MAX_FACES = 300_000
-_COARSENING = 1.3  # factor of the cube side from one attempt to thin a surface to the next
+_SIDE_FACTOR = 1.3  # ratio of the cube sides of two successive attempts to thin a surface
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,7 +31,7 @@ class FusedScene:
 
     positions: NDArray[np.float32]  # (N, 3) float32: in the axes and the unit of the poses
     colors: NDArray[np.uint8]  # (N, 3) uint8
-    faces: NDArray[np.int32] | None  # (M, 3) int32 or None: none for points
+    faces: NDArray[np.int32] | None  # (M, 3) int32; None for points
     origin: str  # its source, in words: a file, or keyframes
     point_share: float = 1.0  # share of the points after thinning
 
@@ -41,7 +41,7 @@ def read_fused(folder: Path, kind: FusedKind) -> FusedScene | None:
 
     Raises tisfm.formats.FormatError if the file is damaged.
     """
-    path = next((folder / name for name in FILES[kind] if (folder / name).is_file()), None)
+    path = next((folder / name for name in FILE_NAMES[kind] if (folder / name).is_file()), None)
     if path is None:
         return None
     from trimesh import load_scene
@@ -78,7 +78,7 @@ def _vertex_colors(visual: Any) -> Any:
 
 
 def fuse_keyframes(result: Reconstruction, kind: FusedKind, number: int) -> FusedScene:
-    """Fuse the keyframes of a frame's piece that are nearest to it in time.
+    """Fuse the keyframes that are nearest in time to a frame, of the same piece.
 
     Raises ImportError if scikit-image is missing, for a surface.
 
@@ -88,14 +88,14 @@ def fuse_keyframes(result: Reconstruction, kind: FusedKind, number: int) -> Fuse
     keyframes = [k for k in result.keyframes if result.piece[k] == piece >= 0]
     if not keyframes:
         raise InputError("the piece of this frame has no keyframes to fuse")
-    nearest = sorted(sorted(keyframes, key=lambda k: abs(k - number))[:MAX_KEYFRAMES])
-    origin = f"{len(nearest)} of {len(keyframes)} keyframes, fused"
+    nearest_keyframes = sorted(sorted(keyframes, key=lambda k: abs(k - number))[:MAX_KEYFRAMES])
+    origin = f"{len(nearest_keyframes)} of {len(keyframes)} keyframes, fused"
     if kind == "points":
-        points = result.points(nearest)
+        points = result.points(nearest_keyframes)
         return FusedScene(
             positions=points.positions, colors=points.colors, faces=None, origin=origin
         )
-    mesh = result.mesh(nearest)
+    mesh = result.mesh(nearest_keyframes)
     return FusedScene(positions=mesh.vertices, colors=mesh.colors, faces=mesh.faces, origin=origin)
 
 
@@ -106,22 +106,22 @@ def limit_size(
     if scene.faces is None:
         if len(scene.positions) <= points:
             return scene
-        chosen = np.sort(np.random.default_rng(0).permutation(len(scene.positions))[:points])
+        selection = np.sort(np.random.default_rng(0).permutation(len(scene.positions))[:points])
         return replace(
             scene,
-            positions=scene.positions[chosen],
-            colors=scene.colors[chosen],
+            positions=scene.positions[selection],
+            colors=scene.colors[selection],
             point_share=points / len(scene.positions),
         )
     if len(scene.faces) <= faces:
         return scene
     edges = scene.positions[scene.faces[:, 0]] - scene.positions[scene.faces[:, 1]]
     side = float(np.median(np.linalg.norm(edges, axis=1))) or 1.0
-    coarse = scene
-    while coarse.faces is not None and len(coarse.faces) > faces:
-        side *= _COARSENING
-        coarse = _cluster_vertices(scene, side)
-    return coarse
+    coarse_scene = scene
+    while coarse_scene.faces is not None and len(coarse_scene.faces) > faces:
+        side *= _SIDE_FACTOR
+        coarse_scene = _cluster_vertices(scene, side)
+    return coarse_scene
 
 
 def clip_to_box(
@@ -146,14 +146,16 @@ def _cluster_vertices(scene: FusedScene, side: float) -> FusedScene:
     """Return a surface whose vertices are the means of all vertices in a cube of this side."""
     assert scene.faces is not None
     cubes = np.floor(scene.positions / side).astype(np.int64)
-    _, inverse, count = np.unique(cubes, axis=0, return_inverse=True, return_counts=True)
-    inverse = inverse.reshape(-1)
+    _, cube_of_vertex, vertex_counts = np.unique(
+        cubes, axis=0, return_inverse=True, return_counts=True
+    )
+    cube_of_vertex = cube_of_vertex.reshape(-1)
     means = [
-        np.stack([np.bincount(inverse, column) for column in values.T.astype(float)], axis=1)
-        / count[:, None]
+        np.stack([np.bincount(cube_of_vertex, column) for column in values.T.astype(float)], axis=1)
+        / vertex_counts[:, None]
         for values in (scene.positions, scene.colors)
     ]
-    faces = inverse[scene.faces].astype(np.int32)
+    faces = cube_of_vertex[scene.faces].astype(np.int32)
     a, b, c = faces.T
     faces = faces[(a != b) & (b != c) & (c != a)]
     return replace(
@@ -161,5 +163,5 @@ def _cluster_vertices(scene: FusedScene, side: float) -> FusedScene:
         positions=means[0].astype(np.float32),
         colors=np.rint(means[1]).astype(np.uint8),
         faces=faces,
-        point_share=len(count) / len(scene.positions),
+        point_share=len(vertex_counts) / len(scene.positions),
     )

@@ -95,10 +95,10 @@ class PairFrames:
         self._record_stamp = stamp
         self._latest_result, self._has_depth_cache = None, {}
         new_files = dict(self._files)
-        are_kept = all(
+        has_all_earlier_files = all(
             name in new_files and new_files[name] == files for name, files in earlier_files
         )
-        return "grown" if are_kept else "replaced"
+        return "grown" if has_all_earlier_files else "replaced"
 
     def __len__(self) -> int:
         return len(self.names)
@@ -159,7 +159,7 @@ class PairFrames:
         return self._has_depth_cache[number]
 
     def scale(self, number: int) -> tuple[int, float]:
-        """Return 0 and the mean inverse depth of a pair, or 1 if poses were given."""
+        """Return group 0, and the mean inverse depth of a pair, or 1 if poses were given."""
         if self.has_one_scale:
             return 0, 1.0
         return 0, mean_inverse_depth(self.inverse_depth(number)) or 1.0
@@ -275,8 +275,8 @@ def _chain_poses(
     count = len(numbers)
     poses, piece = np.tile(np.eye(4), (count, 1, 1)), np.arange(count, dtype=np.int32)
     for k in range(1, count if motions else 0):
-        earlier_files = motions[k - 1]
-        if numbers[k] == numbers[k - 1] + 1 and earlier_files is not None:
-            poses[k] = poses[k - 1] @ np.linalg.inv(earlier_files)
+        motion = motions[k - 1]
+        if numbers[k] == numbers[k - 1] + 1 and motion is not None:
+            poses[k] = poses[k - 1] @ np.linalg.inv(motion)
             piece[k] = piece[k - 1]
     return poses, piece

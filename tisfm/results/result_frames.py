@@ -31,7 +31,9 @@ class ResultFrames(Protocol):
     # Whether depth of all frames of a piece has the unit of the poses. Otherwise the depth of each
     # frame has its own unit.
     has_one_scale: bool
-    quantities: tuple[str, ...]  # what points can be coloured by, besides image and depth
+    quantities: tuple[
+        str, ...
+    ]  # quantities that points can be coloured by, besides image and depth
     can_fuse: bool  # whether several frames can be fused
     unit_advice: str  # how to get depth in another unit
 
@@ -62,7 +64,7 @@ class ResultFrames(Protocol):
         """Return whether a frame has usable depth."""
 
     def scale(self, number: int) -> tuple[int, float]:
-        """Return a group of frames with a common scale, and the scale of inverse depth in it."""
+        """Return the group of frames with the same scale, and the scale of inverse depth in it."""
 
     def flow(self, number: int) -> NDArray[np.float32]:
         """Read the image motion to the next frame, (H, W, 2) px.
@@ -107,7 +109,7 @@ def as_rgb(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.repeat(picture[..., None], 3, axis=2) if picture.ndim == 2 else picture
 
 
-MAX_BYTES = 256 * 2**20  # set by hand
+MAX_CACHE_BYTES = 256 * 2**20  # bytes of the frames in a cache; set by hand
 
 
 class FrameCache:
@@ -117,7 +119,7 @@ class FrameCache:
         self,
         result: ResultFrames,
         # bytes of all frames in the cache; the latest frame is kept whatever its size
-        max_bytes: int = MAX_BYTES,
+        max_bytes: int = MAX_CACHE_BYTES,
     ) -> None:
         self._result, self._max_bytes = result, max_bytes
         self._frames: OrderedDict[str, ResultFrame] = OrderedDict()

@@ -166,22 +166,25 @@ class SequenceFrames:
 
         It is empty if the two frames are of different pieces.
         """
-        following = number + 1
-        if following >= len(self.names) or not 0 <= self.piece[number] == self.piece[following]:
+        next_number = number + 1
+        if next_number >= len(self.names) or not 0 <= self.piece[number] == self.piece[next_number]:
             return {}
-        to_next = np.linalg.inv(self.poses[following])
+        to_next = np.linalg.inv(self.poses[next_number])
         motions = {0: to_next @ self.poses[number]}
         for moving_object in self.objects:
-            moved = _motion_in_world(moving_object, number)
-            if moved is not None:
-                motions[moving_object.id] = to_next @ moved @ self.poses[number]
-        return {label: (rigid_twist(m[:3, :3], m[:3, 3]), m) for label, m in motions.items()}
+            world_motion = _motion_in_world(moving_object, number)
+            if world_motion is not None:
+                motions[moving_object.id] = to_next @ world_motion @ self.poses[number]
+        return {
+            label: (rigid_twist(motion[:3, :3], motion[:3, 3]), motion)
+            for label, motion in motions.items()
+        }
 
 
 def _stamp(folder: Path) -> tuple[int, int]:
     """Return modification time and size of the record."""
-    about = os.stat(folder / RECORD)
-    return about.st_mtime_ns, about.st_size
+    file_status = os.stat(folder / RECORD)
+    return file_status.st_mtime_ns, file_status.st_size
 
 
 def _motion_in_world(moving_object: MovingObject, number: int) -> NDArray[np.float64] | None:

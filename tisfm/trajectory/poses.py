@@ -56,28 +56,28 @@ def check_poses(
     poses: ArrayLike,
 ) -> NDArray[np.float64]:  # (N, 4, 4) float64 ndarray: all NaN for a missing pose
     """Return poses as float64; raise ValueError unless each is a rigid motion, or has NaN."""
-    given = check_unmasked(poses, "poses", np.float64)
-    if given.ndim != 3 or given.shape[1:] != (4, 4):
-        raise InputError(f"poses are {given.shape}: expected (N, 4, 4)")
-    missing = np.isnan(given).any(axis=(1, 2))
-    for index in np.flatnonzero(~missing):
-        pose = given[index]
+    array = check_unmasked(poses, "poses", np.float64)
+    if array.ndim != 3 or array.shape[1:] != (4, 4):
+        raise InputError(f"poses are {array.shape}: expected (N, 4, 4)")
+    is_missing = np.isnan(array).any(axis=(1, 2))
+    for index in np.flatnonzero(~is_missing):
+        pose = array[index]
         if not np.isfinite(pose).all() or not is_rotation(pose[:3, :3]):
             raise InputError(
                 f"poses[{index}] is {pose.tolist()}: expected a rotation and a translation, or NaN"
             )
-    return np.where(missing[:, None, None], np.nan, given)
+    return np.where(is_missing[:, None, None], np.nan, array)
 
 
 def check_times(times: ArrayLike, count: int) -> NDArray[np.float64]:
     """Return times as float64; raise ValueError unless they are `count` increasing numbers."""
-    given = check_unmasked(times, "times", np.float64)
-    if given.shape != (count,):
-        raise InputError(f"times are {given.shape}: expected ({count},), one for every pose")
-    wrong = np.flatnonzero(~(np.diff(given) > 0))
-    if not np.isfinite(given).all() or len(wrong):
-        index = int(wrong[0]) + 1 if len(wrong) else 0
+    array = check_unmasked(times, "times", np.float64)
+    if array.shape != (count,):
+        raise InputError(f"times are {array.shape}: expected ({count},), one for every pose")
+    not_later = np.flatnonzero(~(np.diff(array) > 0))
+    if not np.isfinite(array).all() or len(not_later):
+        index = int(not_later[0]) + 1 if len(not_later) else 0
         raise InputError(
-            f"times[{index}] is {given[index]}: expected finite numbers, each above the one before"
+            f"times[{index}] is {array[index]}: expected finite numbers, each above the one before"
         )
-    return given
+    return array

@@ -46,18 +46,19 @@ def read_rows(
     return rows
 
 
-def pose_of_twelve(numbers: list[float]) -> NDArray[np.float64]:
+def pose_from_rows(numbers: list[float]) -> NDArray[np.float64]:
     """Return the (4, 4) matrix of a pose from its upper three rows."""
     return np.vstack([np.reshape(numbers, (3, 4)), [0, 0, 0, 1]])
 
 
-def check_pose(pose: NDArray[np.float64], where: str) -> NDArray[np.float64]:
-    """Return a (4, 4) pose; raise FormatError, which begins with `where`, if it is not rigid."""
+def check_pose(pose: NDArray[np.float64], location: str) -> NDArray[np.float64]:
+    """Return a (4, 4) pose; raise FormatError, which begins with `location`, if it is not rigid."""
     if not np.isfinite(pose).all():
-        raise FormatError(f"{where} is not finite: there is no pose of this frame")
+        raise FormatError(f"{location} is not finite: there is no pose of this frame")
     if not is_rotation(pose[:3, :3]):
         raise FormatError(
-            f"{where} is not a rotation: expected an orthonormal matrix in the first three columns"
+            f"{location} is not a rotation: expected an orthonormal matrix in the first three "
+            "columns"
         )
     return pose
 
@@ -97,7 +98,7 @@ def read_kitti(path: str | os.PathLike[str]) -> Trajectory:
     poses = [
         np.full((4, 4), np.nan)
         if np.isnan(numbers).all()
-        else check_pose(pose_of_twelve(numbers), f"{file}, line {line}")
+        else check_pose(pose_from_rows(numbers), f"{file}, line {line}")
         for line, numbers in read_rows(file, columns=12)
     ]
     return Trajectory(poses=np.reshape(poses, (-1, 4, 4)))
@@ -179,7 +180,7 @@ def read_tum(path: str | os.PathLike[str]) -> Trajectory:
 
     file = Path(path)
     rows = read_rows(file, columns=8)
-    last = -np.inf
+    last_time = -np.inf
     for line, numbers in rows:
         if not np.isfinite(numbers).all():
             raise FormatError(f"{file}, line {line} is not finite: leave out frames without a pose")
@@ -189,11 +190,11 @@ def read_tum(path: str | os.PathLike[str]) -> Trajectory:
                 f"{file}, line {line} has a quaternion of length {length:g}, expected 1: "
                 "qx qy qz qw are the last four numbers"
             )
-        if not numbers[0] > last:
+        if not numbers[0] > last_time:
             raise FormatError(
-                f"{file}, line {line} has the time {numbers[0]!r}, expected one after {last!r}"
+                f"{file}, line {line} has the time {numbers[0]!r}, expected one after {last_time!r}"
             )
-        last = numbers[0]
+        last_time = numbers[0]
     values = np.reshape([numbers for _, numbers in rows], (-1, 8))
     poses = np.tile(np.eye(4), (len(values), 1, 1))
     poses[:, :3, :3] = Rotation.from_quat(values[:, 4:]).as_matrix()
@@ -231,12 +232,12 @@ def write_tum(path: str | os.PathLike[str], poses: ArrayLike, times: ArrayLike) 
     from scipy.spatial.transform import Rotation  # slow to import
 
     matrices = check_poses(poses)
-    stamps = check_times(times, len(matrices))
-    posed = np.isfinite(matrices[:, 0, 0])
-    matrices = matrices[posed]
+    checked_times = check_times(times, len(matrices))
+    has_pose = np.isfinite(matrices[:, 0, 0])
+    matrices = matrices[has_pose]
     quaternions = Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
     quaternions[quaternions[:, 3] < 0] *= -1  # q and -q are one rotation: write qw ≥ 0
-    rows = np.column_stack([stamps[posed], matrices[:, :3, 3], quaternions])
+    rows = np.column_stack([checked_times[has_pose], matrices[:, :3, 3], quaternions])
     text = "".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist())
     with atomic_write(path) as file:
         file.write((_HEADING + text).encode())

@@ -12,7 +12,7 @@ from tisfm.trajectory.poses import check_times
 
 def are_increasing(times: Sequence[float | None]) -> bool:
     """Return whether all times are known and finite, and increase."""
-    return _fault(times) == ""
+    return _find_fault(times) == ""
 
 
 def times_or_numbers(times: Sequence[float | None]) -> NDArray[np.float64]:
@@ -26,13 +26,13 @@ def times_note(
     times: Sequence[float | None],  # times of all frames, s
 ) -> str:  # "" if the times increase, or no frame has a time
     """Return why a path uses the numbers of frames instead of times."""
-    fault = _fault(times)
+    fault = _find_fault(times)
     if not fault or all(time is None for time in times):
         return ""
     return f"{fault}: paths use the numbers of frames instead of times"
 
 
-def _fault(times: Sequence[float | None]) -> str:
+def _find_fault(times: Sequence[float | None]) -> str:
     """Return why times cannot be the times of a path; "" if they can."""
     for number, time in enumerate(times):
         if time is None or not isfinite(time):
@@ -105,18 +105,24 @@ def associate(
     second = check_times(others, len(np.atleast_1d(others)))
     if not len(first) or not len(second):
         return np.empty(0, np.intp), np.empty(0, np.intp)
-    nearest_other, nearest_time = _nearest(first, second), _nearest(second, first)
-    mutual = nearest_time[nearest_other] == np.arange(len(first))
-    near = np.abs(first - second[nearest_other]) <= farthest
-    matched = np.flatnonzero(mutual & near)
-    return matched, nearest_other[matched]
+    nearest_other, nearest_time = _nearest_indices(first, second), _nearest_indices(second, first)
+    is_mutual = nearest_time[nearest_other] == np.arange(len(first))
+    is_near = np.abs(first - second[nearest_other]) <= farthest
+    matches = np.flatnonzero(is_mutual & is_near)
+    return matches, nearest_other[matches]
 
 
-def _nearest(times: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.intp]:
+def _nearest_indices(times: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.intp]:
     """Return the index in `others` nearest to each time; of two equally near ones the earlier."""
-    after = np.searchsorted(others, times).clip(1, len(others) - 1) if len(others) > 1 else None
-    if after is None:
+    later_index = (
+        np.searchsorted(others, times).clip(1, len(others) - 1) if len(others) > 1 else None
+    )
+    if later_index is None:
         return np.zeros(len(times), np.intp)
     return np.asarray(
-        np.where(times - others[after - 1] <= others[after] - times, after - 1, after)
+        np.where(
+            times - others[later_index - 1] <= others[later_index] - times,
+            later_index - 1,
+            later_index,
+        )
     )

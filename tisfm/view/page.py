@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.results.frame import ResultFrame
-from tisfm.results.result_frames import MAX_BYTES, FrameCache, ResultFrames, as_rgb
+from tisfm.results.result_frames import MAX_CACHE_BYTES, FrameCache, ResultFrames, as_rgb
 from tisfm.view.browsers import Browsers
 from tisfm.view.clipping_box import ClippingBox
 from tisfm.view.colors import (
@@ -59,7 +59,7 @@ class ViewerPage:
         port: int = 8080,  # first port that is tried, 0 for any
         number: int = 0,  # frame that is shown first
         max_points: int = 200_000,  # initial limit of the points of a frame
-        max_bytes: int = MAX_BYTES,  # limit of the frames in memory
+        max_bytes: int = MAX_CACHE_BYTES,  # limit of the frames in memory
         # time, s, in which only the first coarse picture is drawn, unless a browser connects
         browser_wait: float = 0.0,
         # a running server to take over, in place of one at `host` and `port`

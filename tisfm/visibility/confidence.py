@@ -6,10 +6,10 @@ import numpy as np
 from tisfm import runtime
 
 CONFIDENCE_WINDOW = 15  # px: about the distance over which regularisation spreads data
-ROUNDING = 1e-6  # share of the largest J11 + J22 below which an image counts as uniform
+MIN_RELATIVE_GRADIENT = 1e-6  # share of the largest J11 + J22: below it, a pixel has no gradient
 HALF_SHARE_FACTOR = 4.0  # multiple of the median squared residual that halves the confidence
-# px, and grey levels if constraints are not normalised: the least value for the median residual.
-# In front of a background at rest the median is smaller, but residuals of this size are harmless.
+# Smallest value for the median residual, px, and grey levels if constraints are not normalised. If
+# most of the image is at rest, the median is smaller, but larger residuals are still only noise.
 MIN_RESIDUAL, MIN_RESIDUAL_GREY = 0.05, 0.5
 
 
@@ -43,7 +43,7 @@ def confidence(
 
     # Pixels without a gradient have no residual, so they are left out of the median.
     gradient = precision[0] + precision[2]
-    is_textured = gradient > ROUNDING * gradient.max()
+    is_textured = gradient > MIN_RELATIVE_GRADIENT * gradient.max()
     window = (CONFIDENCE_WINDOW, CONFIDENCE_WINDOW)
     for k in range(4):
         cv2.boxFilter(precision[k], -1, window, dst=precision[k], normalize=k == 3)

@@ -39,7 +39,7 @@ def occlusion(
     spline1: np.ndarray | None = None,
     # (H, W) bool: `leaves_image` of the flow, if already computed
     is_leaving: np.ndarray | None = None,
-    # (H, W) float32: `residual_of` the flow or of nearly the same flow, if already computed
+    # (H, W) float32: `flow_residual` of the flow or of nearly the same flow, if already computed
     residual: np.ndarray | None = None,
 ) -> np.ndarray:  # (H, W) bool
     """Find the pixels that leave the image or are hidden, by the uniqueness of the mapping.
@@ -64,9 +64,9 @@ def occlusion(
 
     if is_leaving is None:
         is_leaving = leaves_image(flow)
-    flow = _finite(flow)
+    flow = _clip_flow(flow)
     if residual is None:
-        residual = residual_of(frame0, frame1, flow, settings, factor=factor, spline1=spline1)
+        residual = flow_residual(frame0, frame1, flow, settings, factor=factor, spline1=spline1)
     sums = aligned_empty((*residual.shape, 4))
     hidden = np.empty(residual.shape, np.int32)
     splat(flow, residual, sums, any_order=any_order)
@@ -76,7 +76,7 @@ def occlusion(
     return hidden.astype(bool) | is_leaving
 
 
-def occlusion_in(
+def pyramid_occlusion(
     pyramid: "ImagePyramid",
     flow: np.ndarray,
     settings: Settings,
@@ -119,7 +119,7 @@ def leaves_image(flow: np.ndarray) -> np.ndarray:
     return np.logical_not(is_inside, out=is_inside)
 
 
-def residual_of(
+def flow_residual(
     frame0: np.ndarray,
     frame1: np.ndarray,
     flow: np.ndarray,
@@ -132,16 +132,16 @@ def residual_of(
 
     The arguments are those of `occlusion`. The residual is computed at the size of the frames.
     """
-    flow = _finite(flow)
+    flow = _clip_flow(flow)
     if factor == 1:
         return _residual(frame0, sample(frame1, flow, spline1), settings)
-    coarse = shrink(flow, factor, *frame0.shape) / np.float32(factor)
-    residual = _residual(frame0, sample(frame1, coarse, spline1), settings)
+    coarse_flow = shrink(flow, factor, *frame0.shape) / np.float32(factor)
+    residual = _residual(frame0, sample(frame1, coarse_flow, spline1), settings)
     return enlarge(residual[None], factor, *flow.shape[1:])[0]
 
 
-def _finite(flow: np.ndarray) -> np.ndarray:
-    """Return a flow with NaN replaced and large values clipped, so that these leave any image.
+def _clip_flow(flow: np.ndarray) -> np.ndarray:
+    """Return a flow without NaN and with clipped values; both kinds of values leave any image.
 
     Kernels cannot do this: compiled with fast math, their comparisons with NaN may be true.
     """

@@ -21,7 +21,7 @@ from tisfm.motion.sparse_start import sparse_start
 from tisfm.settings import MAX_SMOOTHNESS, Settings
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.status import Status
-from tisfm.visibility.occlusion import leaves_image, occlusion_in
+from tisfm.visibility.occlusion import leaves_image, pyramid_occlusion
 
 
 def objects_estimate(
@@ -111,7 +111,7 @@ def _estimate_layers(
     """Return the layers on the level of a flow field: motions and rough labels."""
     coarse_pyramid, scale = pyramid.coarser(start.level), pyramid.scales[start.level]
     frame = coarse_pyramid.frames0[0] if start.level else grey0  # `grey0` is sharper
-    hidden = occlusion_in(
+    hidden = pyramid_occlusion(
         coarse_pyramid, np.ascontiguousarray(np.moveaxis(start.flow, -1, 0)), settings
     )
     motions, labels = motion_candidates(

@@ -24,7 +24,7 @@ from tisfm.motion.textureless_depth import texture_weight, textureless_depth, te
 from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.visibility.confidence import MIN_RESIDUAL, MIN_RESIDUAL_GREY
-from tisfm.visibility.occlusion import leaves_image, occlusion_in
+from tisfm.visibility.occlusion import leaves_image, pyramid_occlusion
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,7 +120,7 @@ class Layering:
             costs = np.where(leaves, min_cost, costs).astype(np.float32)
             costs[~is_allowed] = OBJECTS.forbidden_layer_cost
             own_flow = np.take_along_axis(stacked_flows, labels[None, None], axis=0)[0]
-            hidden = occlusion_in(self._pyramid, own_flow, self._settings)
+            hidden = pyramid_occlusion(self._pyramid, own_flow, self._settings)
             weight = np.where(hidden, OBJECTS.hidden_weight, OBJECTS.visible_weight).astype(
                 np.float32
             )
