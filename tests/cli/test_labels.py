@@ -72,7 +72,7 @@ def test_wrong_labels_are_refused(tisfm_run, clip):
     write_png("things/f0.png", np.dstack([film().labels[0], *film().labels[1:3]]))
     refused("--labels", "things", words="picture of mode RGB: expected labels")
     write_png("things/f0.png", film().labels[0][1:])
-    refused("--labels", "things", words="(119, 160), but that of frame f0 is (120, 160)")
+    refused("--labels", "things", words="(119, 160), but the size of frame f0 is (120, 160)")
 
 
 def test_the_size_of_an_object_gives_its_scale(tisfm_run, work_folder):

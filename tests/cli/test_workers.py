@@ -211,7 +211,7 @@ def test_a_worker_with_other_files_is_an_error(film, work_folder, first):
     assert isinstance(error, RuntimeError) and "sees other files in film (12)" in str(error)
     (film / "f0.png").unlink()
     error = interpret_chunk(make_chunk(work_folder, first=first)).error
-    assert isinstance(error, RuntimeError) and "(11) than the process that began (12)" in str(error)
+    assert isinstance(error, RuntimeError) and "(11) than the first process (12)" in str(error)
 
 
 def test_a_bug_in_a_worker_is_raised(film, work_folder, monkeypatch):

@@ -141,7 +141,7 @@ def test_wrong_labels_are_refused(labels, error, words):
         (FIRST.astype(int) * 40, ValueError, "go from 0 to 280"),
         (np.dstack([FIRST] * 3), ValueError, r"\(24, 40, 3\), as colours do"),
         (FIRST[0], ValueError, r"shape \(40,\): expected \(H, W\)"),
-        (FIRST[1:], ValueError, r"is \(23, 40\), but that of frame frame_000000 is \(24, 40\)"),
+        (FIRST[1:], ValueError, r"is \(23, 40\), but the size of frame frame_000000 is \(24, 40\)"),
         (np.ma.array(FIRST, mask=FIRST), ValueError, "masked"),
     ],
 )

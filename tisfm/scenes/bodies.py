@@ -140,7 +140,7 @@ def bodies_film(
     bodies : int, default 3
         Number of boxes, 0 to 3. The motion and texture of a box do not depend on this number.
     seed : int, default 0
-        Pattern of the textures and of the noise; the paths do not depend on it.
+        Pattern of the textures and of the noise. Paths of camera and bodies do not depend on it.
     focal : float, optional
         Focal length, px; by default 0.6 of the width.
     textured : bool, default True

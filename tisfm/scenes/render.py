@@ -131,8 +131,8 @@ class Scene:
         Parameters
         ----------
         samples : int, default 3
-            Rays per pixel side: a pixel is the mean of samples² rays. Time grows in proportion to
-            samples².
+            Rays per pixel side: a pixel is the mean of samples² rays. The time of rendering is
+            proportional to samples².
         dtype : {"uint8", "float32"}
             Type of the frames; float32 keeps the fractions of a grey level.
 
@@ -269,7 +269,7 @@ class Scene:
     def _truth_of_band(
         self, views0: list[ObjectView], views1: list[ObjectView], band: Band
     ) -> tuple[NDArray, ...]:
-        """Return the truth of the pixels of frame 0: depth, labels, u, v, visible and textured."""
+        """Return the truth of the pixels of frame 0: depth, labels, u, v, visible, textured."""
         rays, depth, labels = band
         points1 = np.empty_like(rays)
         textured = np.empty(labels.shape, bool)

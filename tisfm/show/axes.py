@@ -28,7 +28,7 @@ _PICTURE_TEXT_SHARE = 0.028  # text height around a picture, over the mean side 
 _PLOT_TEXT_SHARE = 0.036  # text height around a plot, over the mean side of the axes
 _MIN_TEXT_PIXELS = 9.0  # px: smaller text is hard to read
 _MAX_PIXELS_PER_AXES_PIXEL = 2  # finer pictures are reduced before they are drawn
-_MIN_REDUCED_PPI = 250  # pixels per inch: pictures up to this resolution are never reduced
+_MIN_REDUCED_PPI = 250  # pixels per inch of the figure: up to this resolution nothing is reduced
 _MARGIN = 0.3  # inches around the picture, in a figure with one picture
 _LEGEND_WIDTH = 1.0  # inches for a legend beside the picture
 _LEGEND_HEIGHT = 0.4  # inches for a legend below the picture
@@ -44,7 +44,7 @@ class _LegendSpace:
     legends: list[Axes] = field(default_factory=list)
 
 
-_LEGEND_SPACE = "_tisfm_legend_space"  # attribute of the axes that holds their `_LegendSpace`
+_LEGEND_SPACE = "_tisfm_legend_space"  # name of the attribute of axes with their `_LegendSpace`
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def show_picture(
     image: NDArray[np.uint8],
     title: str | None = None,  # text above the picture
 ) -> Sizes:
-    """Show a picture in axes in px, y downwards; return sizes for text and lines."""
+    """Show a picture in axes with the unit px, y downwards; return sizes of text and lines."""
     _clear_axes(axes)
     sizes = sizes_for(axes)
     rows, columns = image.shape[:2]
@@ -128,7 +128,7 @@ def write_title(axes: Axes, title: str, sizes: Sizes) -> None:
     axes.set_title(title, fontsize=1.15 * sizes.text, color=TEXT_COLOR, parse_math=False)
 
 
-def write_inside(axes: Axes, sizes: Sizes, text: str) -> None:
+def write_centered(axes: Axes, sizes: Sizes, text: str) -> None:
     """Write a text in the middle of empty axes, such as the reason why they are empty."""
     axes.text(
         0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", fontsize=sizes.text,
@@ -151,13 +151,13 @@ def style_plot(axes: Axes, title: str | None = None) -> Sizes:
     return sizes
 
 
-def without_formulas(legend: Legend) -> None:
-    """Write dollar signs in a legend as they are, not as the beginning of a formula."""
+def disable_formulas(legend: Legend) -> None:
+    """Make dollar signs in a legend ordinary characters, which do not begin a formula."""
     for text in legend.get_texts():
         text.set_parse_math(False)
 
 
-def name_axis(axes: Axes, sizes: Sizes, x: str, y: str) -> None:
+def label_axes(axes: Axes, sizes: Sizes, x: str, y: str) -> None:
     """Write the quantities and units along both axes of a plot."""
     axes.set_xlabel(x, fontsize=sizes.text, color=TEXT_COLOR, parse_math=False)
     axes.set_ylabel(y, fontsize=sizes.text, color=TEXT_COLOR, parse_math=False)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from tisfm.errors import InputError
-from tisfm.show.axes import limit_ticks, name_axis, plot_axes, style_plot, write_inside
+from tisfm.show.axes import label_axes, limit_ticks, plot_axes, style_plot, write_centered
 from tisfm.show.palette import CONTRAST_COLOR, GRID_COLOR, RESULT_COLOR, TEXT_COLOR
 from tisfm.status import History
 
@@ -72,10 +72,10 @@ def draw_energy(
     sizes = style_plot(target, title)
     is_energy = quantity == "energy"
     y = "energy (any unit)" if is_energy else "relative change of the unknowns"
-    name_axis(target, sizes, "iteration", y)
+    label_axes(target, sizes, "iteration", y)
     count = len(history.energy)
     if not count:
-        write_inside(target, sizes, "no iterations")
+        write_centered(target, sizes, "no iterations")
         return target
     target.set_xlim(-0.5, count - 0.5)
     limit_ticks(target, sizes)

@@ -12,7 +12,7 @@ from tisfm.metrics import depth_error_map, endpoint_error_map
 from tisfm.metrics.depth_std import error_in_deviations
 from tisfm.metrics.valid_pixels import is_known
 from tisfm.show.arrays import as_flow, as_map, require_same_size, valid_depth_mask
-from tisfm.show.axes import name_axis, plot_axes, style_plot
+from tisfm.show.axes import label_axes, plot_axes, style_plot
 from tisfm.show.color_maps import DEPTH_ERROR_RANGE, ERROR_RANGE, check_error_limits, error_to_color
 from tisfm.show.draw_maps import Bar, draw_with_bar
 from tisfm.show.palette import GRID_COLOR, RESULT_COLOR, TEXT_COLOR, color_ramp
@@ -212,7 +212,7 @@ def draw_calibration(
     target.axvline(1.0, color=GRID_COLOR, linewidth=0.5 * sizes.line, linestyle=":")
     target.set(xlim=(0, _MAX_DEVIATIONS), ylim=(0, 102), xticks=(0, 1, 2, 3))
     target.set_yticks((0, 25, 50, 75, 100))
-    name_axis(target, sizes, "error (standard deviations)", "pixels within (%)")
+    label_axes(target, sizes, "error (standard deviations)", "pixels within (%)")
     target.legend(loc="lower right", fontsize=sizes.text, labelcolor=TEXT_COLOR, framealpha=0.8)
     return target
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tisfm.checks import check_mask
 from tisfm.show.arrays import as_image, as_map, as_uint8, check_limit, require_same_size
-from tisfm.show.axes import draw_bar, legend_axes, picture_axes, show_picture, without_formulas
+from tisfm.show.axes import disable_formulas, draw_bar, legend_axes, picture_axes, show_picture
 from tisfm.show.color_maps import (
     UNCERTAINTY_RANGE,
     confidence_to_color,
@@ -323,7 +323,7 @@ def draw_labels(
         handletextpad=0.5,
         labelspacing=0.3,
     )
-    without_formulas(label_list)
+    disable_formulas(label_list)
     return target
 
 

@@ -13,12 +13,12 @@ from tisfm.errors import InputError
 from tisfm.metrics import Similarity, align
 from tisfm.show.axes import (
     Sizes,
+    disable_formulas,
+    label_axes,
     limit_ticks,
-    name_axis,
     plot_axes,
     style_plot,
-    without_formulas,
-    write_inside,
+    write_centered,
 )
 from tisfm.show.palette import (
     CONTRAST_COLOR,
@@ -214,7 +214,7 @@ def draw_object_paths(
         _mark_ends(target, line, view, sizes, colors=(color, color))
     _set_up_axes(target, sizes, lines, view, unit)
     if not positions:
-        write_inside(target, sizes, "no object has a pose")
+        write_centered(target, sizes, "no object has a pose")
     if lines:
         _draw_legend(target, sizes)
     return target
@@ -241,7 +241,7 @@ def _draw_camera_paths(
         _mark_ends(axes, line, view, sizes, colors=(RESULT_COLOR, CONTRAST_COLOR))
     _set_up_axes(axes, sizes, [*lines, *true_lines], view, unit)
     if not lines:
-        write_inside(axes, sizes, "no pose" if name == "path" else name)
+        write_centered(axes, sizes, "no pose" if name == "path" else name)
         return
     middle = as_hex(color_ramp("confidence")[sum(_SHADE_RANGE) // 2])
     handles.append(Line2D([], [], color=middle, linewidth=2 * sizes.line))
@@ -312,7 +312,7 @@ def _set_up_axes(
 ) -> None:
     """Give both axes one scale, and name them."""
     _, _, x_name, y_name = _VIEWS[view]
-    name_axis(axes, sizes, f"{x_name} ({unit})", f"{y_name} ({unit})")
+    label_axes(axes, sizes, f"{x_name} ({unit})", f"{y_name} ({unit})")
     axes.set_aspect("equal", adjustable="box")
     limit_ticks(axes, sizes)
     if not lines:
@@ -349,7 +349,7 @@ def _draw_legend(
         handlelength=1.6,
         borderpad=0.3,
     )
-    without_formulas(legend)
+    disable_formulas(legend)
 
 
 def _to_camera_axes(

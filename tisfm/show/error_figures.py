@@ -21,7 +21,7 @@ from tisfm.show.draw_flow import draw_flow
 from tisfm.show.draw_maps import draw_depth
 from tisfm.show.flow import usual_length
 from tisfm.show.legends import depth_legend, error_legend, wheel_legend
-from tisfm.show.mosaic import MIN_WIDE_RATIO, Panel, mosaic, side_by_side
+from tisfm.show.mosaic import MIN_WIDE_RATIO, Panel, join_legends, mosaic
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -179,7 +179,7 @@ def depth_error_figure(
     ]
     error = 100 * depth_error_map(recovered_values, true_values)
     panels.append(_error_panel("Relative error (grey: unknown)", error, percent_limits, "%"))
-    legend = side_by_side(
+    legend = join_legends(
         [depth_legend(top, f"depth Z\n({unit})"), error_legend(percent_limits, "%")]
     )
     return mosaic(_arrange_rows(panels), heading=title, legend=legend)

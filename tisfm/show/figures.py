@@ -32,7 +32,7 @@ from tisfm.show.draw_maps import (
 )
 from tisfm.show.flow import usual_length
 from tisfm.show.legends import depth_legend, error_legend, flow_legend, label_legend
-from tisfm.show.mosaic import MIN_WIDE_RATIO, Panel, mosaic, panel_size, side_by_side, stack_legends
+from tisfm.show.mosaic import MIN_WIDE_RATIO, Panel, join_legends, mosaic, panel_size, stack_legends
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -170,7 +170,7 @@ def comparison_figure(
     ]
     # A single flow has its arrows and colours side by side, like several flows.
     flow_rows = [arrows + colors] if len(flows) == 1 else [arrows, colors]
-    legend = side_by_side([*bars, flow_legend(shape, limit)])
+    legend = join_legends([*bars, flow_legend(shape, limit)])
     return mosaic([first_row, *flow_rows], heading=title, legend=legend)
 
 
@@ -323,7 +323,7 @@ def rigid_figure(
         rows = [panels[k : k + 2] for k in range(0, len(panels), 2)]
     low, high = UNCERTAINTY_RANGE
     bars.append(error_legend((100 * low, 100 * high), "%"))
-    legend = stack_legends([*legends, side_by_side(bars), flow_legend(shape, limit)])
+    legend = stack_legends([*legends, join_legends(bars), flow_legend(shape, limit)])
     return mosaic(rows, heading=title, legend=legend)
 
 

@@ -1,4 +1,4 @@
-"""Figures as mosaics: rows of titled panels, and legends in the free space.
+"""Figures as mosaics: rows of titled panels, and legends in the empty space.
 
 Each panel draws itself into given axes, each legend into a given box of the figure.
 """
@@ -72,7 +72,7 @@ def stack_legends(legends: Sequence[Legend]) -> Legend:
     return Legend(size=(max(legend.size[0] for legend in legends), total_height), draw=draw)
 
 
-def side_by_side(legends: Sequence[Legend]) -> Legend:
+def join_legends(legends: Sequence[Legend]) -> Legend:
     """Combine legends into one legend, from the left to the right, with a common lower edge."""
 
     def draw(figure: Figure, box: Box) -> None:
@@ -153,8 +153,8 @@ class Layout:
 
     size: tuple[float, float]  # of the figure, inches
     panels: list[Box]  # row by row
-    titles: list[str]  # broken into lines that fit above their panels
-    heading: str  # broken into lines that fit
+    titles: list[str]  # with line breaks, so that lines fit above the panels
+    heading: str  # with line breaks, so that lines fit into the figure
     legend: Box | None
 
 
@@ -164,8 +164,8 @@ def arrange(
     rows: Sequence[Sequence[tuple[str, tuple[float, float]]]],
     *,
     heading: str | None = None,  # heading above all panels
-    # width and height, inches, of a legend. It goes to the empty end of the lowest
-    # row with enough space, else into an additional narrow column.
+    # width and height, inches, of a legend. The legend goes to the empty end of the lowest row
+    # with enough space, else into an additional narrow column.
     legend: tuple[float, float] | None = None,
 ) -> Layout:  # positions as shares of the figure, the panels of all rows in one list
     """Arrange panels in rows."""

@@ -21,7 +21,8 @@ def second_view(
 ) -> NDArray[Any]:
     """Make the view of a second camera, displaced along the X axis.
 
-    By eq. 26 to 28 a point at column x1 of the given picture is at x2 = x1 - f d / Z in the other.
+    By eq. 26 to 28 a point at column x1 of the given picture is at x2 = x1 - f d / Z in the second
+    view.
     The point is drawn at the nearest column and hides farther points. Pixels are copied, not
     interpolated.
 
@@ -49,9 +50,11 @@ def second_view(
     ValueError
         If a shape is wrong, the sizes differ, `displacement` is not finite, or `fill` is unknown.
 
-    Notes ----- If the camera moves to the right and several pixels reach one column, the nearest of
-    these pixels is the rightmost in the given picture, because it has shifted most to the left. So
-    the pixel with the greatest column is drawn, and depths are never sorted.
+    Notes
+    -----
+    If the camera moves to the right and several pixels reach one column, the nearest of them is the
+    rightmost in the given picture, because it has shifted most to the left. So the pixel with the
+    greatest column is drawn, and depths are never sorted.
 
     References
     ----------
@@ -74,16 +77,16 @@ def second_view(
     if fill not in ("nearest", "behind"):
         raise InputError(f"fill is {fill!r}, expected nearest or behind")
     if displacement < 0:
-        # The mirror image of a camera that moves to the right.
-        mirrored = second_view(
+        # The mirror image of the view of a camera that moves to the right.
+        mirrored_view = second_view(
             picture[:, ::-1], inverse_depth_map[:, ::-1], displacement=-displacement, fill=fill
         )
-        return np.ascontiguousarray(mirrored[:, ::-1])
+        return np.ascontiguousarray(mirrored_view[:, ::-1])
     shifts = _pixel_shifts(inverse_depth_map, displacement)
     source = _nearest_source(shifts)
     source = _fill_rows(source) if fill == "nearest" else _fill_from_behind(source, shifts)
     height, width = source.shape
-    # Over whole pixels, which is several times as fast as along an axis of three channels.
+    # Indexing whole pixels is several times as fast as indexing single channels.
     pixels = picture.reshape(height * width, *picture.shape[2:])
     return np.take(pixels, source + width * np.arange(height)[:, None], axis=0, mode="clip")
 
@@ -94,10 +97,10 @@ def _pixel_shifts(inverse_depth: NDArray[Any], displacement: float) -> NDArray[n
     The limit keeps a pixel that leaves the picture on a different surface from a pixel just inside.
     """
     max_shift = inverse_depth.shape[1] + _MAX_SURFACE_DIFFERENCE + 1
-    valid = valid_depth_mask(inverse_depth)
+    is_valid = valid_depth_mask(inverse_depth)
     shift = np.zeros_like(inverse_depth)
     with np.errstate(over="ignore"):  # infinity is out of the picture as well
-        np.multiply(inverse_depth, displacement, out=shift, where=valid)
+        np.multiply(inverse_depth, displacement, out=shift, where=is_valid)
     np.minimum(shift, max_shift, out=shift)
     return np.rint(shift, out=shift).astype(np.int32)
 
@@ -160,16 +163,15 @@ def _fill_from_behind(source: NDArray[np.int32], shifts: NDArray[np.int32]) -> N
     is_farther = np.where(is_same_surface, right_gap < left_gap, right_shift < left_shift)
     is_from_right = (left_gap == width) | ((right_gap < width) & is_farther)
     edge_column = flat_source[np.where(is_from_right, right, left)]
-    mirrored = edge_column + np.where(is_from_right, right_gap, -left_gap)
-    is_inside = (mirrored >= 0) & (mirrored < width)
-    mirrored = np.where(is_inside, mirrored, edge_column)
-    inverse_depth_map = shifts.reshape(-1)
+    mirror_column = edge_column + np.where(is_from_right, right_gap, -left_gap)
+    is_inside = (mirror_column >= 0) & (mirror_column < width)
+    mirror_column = np.where(is_inside, mirror_column, edge_column)
+    flat_shifts = shifts.reshape(-1)
     is_behind = (
-        inverse_depth_map[row + mirrored]
-        <= inverse_depth_map[row + edge_column] + _MAX_SURFACE_DIFFERENCE
+        flat_shifts[row + mirror_column] <= flat_shifts[row + edge_column] + _MAX_SURFACE_DIFFERENCE
     )
     flat_source[empty_pixels] = np.where(
-        is_row_empty, width - 1, np.where(is_behind, mirrored, edge_column)
+        is_row_empty, width - 1, np.where(is_behind, mirror_column, edge_column)
     )
     return flat_source.reshape(height, width)
 
@@ -179,14 +181,15 @@ def _filled_neighbours(
 ) -> tuple[
     NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]
 ]:
-    """Return empty columns, the filled columns before and after each of them, and the distances.
+    """Return empty pixels, the next filled pixels to their left and right, and the distances.
 
-    A distance is `width` if this side of the row has no filled column.
+    Pixels are indices into `flat_source`; distances are px. A distance is `width` if this side of
+    the row has no filled column.
     """
     filled_pixels = np.flatnonzero(flat_source >= 0)
     empty_pixels = np.flatnonzero(flat_source < 0)
     next_filled = np.searchsorted(filled_pixels, empty_pixels)
-    # Two additional distant columns count as filled: before the first row and after the last row.
+    # Two additional, distant pixels count as filled: before the first row and after the last row.
     filled_pixels = np.concatenate([[-width - 1], filled_pixels, [len(flat_source) + width]])
     left, right = filled_pixels[next_filled], filled_pixels[next_filled + 1]
     start = empty_pixels - empty_pixels % width

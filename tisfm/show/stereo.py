@@ -19,7 +19,7 @@ MAX_DISPARITY = 0.2  # largest disparity that eyes can fuse, over the width; set
 
 # Set by hand.
 _UPSAMPLING = 2  # columns per pixel, for shifts by half pixels and smooth edges
-_MIN_EDGE_CHANGE = 0.02  # of nearness, in [0, 1], by interpolation: larger at an edge of depth
+_MIN_EDGE_CHANGE = 0.02  # change of nearness, in [0, 1], by interpolation at an edge of depth
 _SOFT_EDGE_WIDTH = 3  # px: width of the blurred edge of an object, which shifts with the object
 _MIN_CROP_SHARE = 0.5  # side of the picture without its border, over the side with the border
 
@@ -39,7 +39,7 @@ def stereo_view(
     """Make the view of another eye from one picture and its depth.
 
     The picture is the view of the left eye, ``eye=0``. Points nearer than the screen appear in
-    front of it, farther points behind. Parts that only the other eye sees are filled by the
+    front of the screen, farther points behind. Parts that only the other eye sees are filled by the
     mirror image of the background.
 
     Parameters
@@ -91,12 +91,12 @@ def stereo_view(
     48
     """
     picture = as_image("image", image)
-    depth = as_map("inverse_depth", inverse_depth)
-    require_same_size("inverse_depth", depth, "image", picture)
+    inverse_depth_map = as_map("inverse_depth", inverse_depth)
+    require_same_size("inverse_depth", inverse_depth_map, "image", picture)
     if not -1 <= eye <= 1:
         raise InputError(f"eye is {eye!r}, expected a number from -1 to 1")
     parallax = _compute_parallax(
-        depth,
+        inverse_depth_map,
         disparity=disparity,
         max_disparity=max_disparity,
         screen=screen,
@@ -110,7 +110,7 @@ def stereo_view(
 
 
 def check_disparity(disparity: float) -> float:
-    """Return a disparity; raise ValueError if it is out of range."""
+    """Return the disparity; raise ValueError if it is out of range."""
     if not 0 < disparity <= MAX_DISPARITY:
         raise InputError(
             f"disparity is {disparity!r}: expected a share of the width, above 0, up to "
@@ -142,7 +142,7 @@ class _Parallax:
 
 
 def _compute_parallax(
-    depth: NDArray[np.floating[Any]],
+    inverse_depth: NDArray[np.floating[Any]],
     *,
     disparity: float,
     max_disparity: float | None,
@@ -151,17 +151,19 @@ def _compute_parallax(
     limit: float | None,
 ) -> _Parallax:
     """Check the options, and return the shifts for an inverse depth, (H, W)."""
-    width = depth.shape[1]
+    width = inverse_depth.shape[1]
     shift = check_disparity(disparity) * width
     if max_disparity is not None:
         shift = check_limit("max_disparity", max_disparity)
     check_screen(screen, screen_depth)
-    max_inverse_depth = inverse_depth_limit(depth) if limit is None else check_limit("limit", limit)
-    if max_inverse_depth == 0:  # no depth: no shifts
-        return _Parallax(nearness=np.zeros(depth.shape, np.float32), shift=0.0, screen=0.0)
-    nearness = (np.clip(_fill_holes(depth), 0, max_inverse_depth) / max_inverse_depth).astype(
-        np.float32
+    max_inverse_depth = (
+        inverse_depth_limit(inverse_depth) if limit is None else check_limit("limit", limit)
     )
+    if max_inverse_depth == 0:  # no depth: no shifts
+        return _Parallax(nearness=np.zeros(inverse_depth.shape, np.float32), shift=0.0, screen=0.0)
+    nearness = (
+        np.clip(_fill_holes(inverse_depth), 0, max_inverse_depth) / max_inverse_depth
+    ).astype(np.float32)
     screen_nearness = 0.5
     if screen is not None:
         known_nearness = nearness[nearness > 0]
@@ -199,18 +201,23 @@ def _render_eye(picture: NDArray[np.uint8], parallax: _Parallax, eye: float) -> 
     """Return the view of an eye; pixels beyond the border are repeated or mirrored."""
     height, width = parallax.nearness.shape
     size = (_UPSAMPLING * width, height)
-    upsampled_picture = cv2.resize(
-        picture, size, interpolation=cv2.INTER_NEAREST
-    )  # so that unshifted parts stay sharp
+    # Without interpolation, parts of the picture that do not shift stay sharp.
+    upsampled_picture = cv2.resize(picture, size, interpolation=cv2.INTER_NEAREST)
     nearness = cv2.dilate(
         parallax.nearness, np.ones((_SOFT_EDGE_WIDTH, _SOFT_EDGE_WIDTH), np.uint8)
     )
-    depth = cv2.resize(nearness, size, interpolation=cv2.INTER_LINEAR)
-    # Interpolated depth at an edge belongs to neither side: the nearest pixel replaces it.
-    nearest_depth = cv2.resize(nearness, size, interpolation=cv2.INTER_NEAREST)
-    depth = np.where(np.abs(depth - nearest_depth) < _MIN_EDGE_CHANGE, depth, nearest_depth)
+    upsampled_nearness = cv2.resize(nearness, size, interpolation=cv2.INTER_LINEAR)
+    # Interpolated nearness at an edge belongs to neither side: the nearest pixel replaces it.
+    pixel_nearness = cv2.resize(nearness, size, interpolation=cv2.INTER_NEAREST)
+    upsampled_nearness = np.where(
+        np.abs(upsampled_nearness - pixel_nearness) < _MIN_EDGE_CHANGE,
+        upsampled_nearness,
+        pixel_nearness,
+    )
     displacement = _UPSAMPLING * parallax.shift * eye
-    eye_view = second_view(upsampled_picture, depth, displacement=displacement, fill="behind")
+    eye_view = second_view(
+        upsampled_picture, upsampled_nearness, displacement=displacement, fill="behind"
+    )
     source_columns = np.arange(_UPSAMPLING * width) - round(displacement * parallax.screen)
     eye_view = eye_view[:, source_columns.clip(0, _UPSAMPLING * width - 1)]
     return np.asarray(cv2.resize(eye_view, (width, height), interpolation=cv2.INTER_AREA))

@@ -195,7 +195,7 @@ def _streams_note(path: str, container: InputContainer, used_stream: VideoStream
         f"{path} has {len(streams)} video streams: {number} "
         f"({used_stream.width} × {used_stream.height} px) is read, as it {reason}; left out: "
         f"{other_streams}, which `ffmpeg -i FILE -map 0:v:NUMBER -c copy OTHER` copies to a "
-        "file of its own"
+        "separate file"
     )
 
 
@@ -209,11 +209,12 @@ class _FrameDecoder:
     Attributes
     ----------
     packet_count : int
-        Number of packets that were read so far: one for each frame, also for hidden frames.
+        Number of packets that were read so far: one for each frame, also for frames that are
+        never displayed.
     """
 
     def __init__(self, container: InputContainer, stream: VideoStream) -> None:
-        # Threads over slices: with threads over frames, an error comes too late to know its frame.
+        # With threads over frames, an error would come too late to know its frame.
         stream.thread_type = ThreadType.SLICE
         stream.codec_context.options = _DECODER_OPTIONS
         self._container, self._stream = container, stream

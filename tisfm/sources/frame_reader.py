@@ -131,6 +131,6 @@ class Listing:
         """Raise RuntimeError if the listing of another process differs from this listing."""
         if other != self:
             raise RunError(
-                f"a worker sees other files in {title} ({other.count}) than the process that began "
-                f"({self.count}): wait until all machines see the same, and give --resume"
+                f"a worker sees other files in {title} ({other.count}) than the first process "
+                f"({self.count}): wait until all machines see the same files, and give --resume"
             )

@@ -70,8 +70,8 @@ class Labels:
             self._items = {self._number_of_key(key): item for key, item in labels.items()}
         elif isinstance(labels, np.ndarray) and labels.ndim != 3:
             raise InputError(
-                f"labels is {labels.shape}: expected (N, H, W), with one for every frame; or, if "
-                "the first frame alone has some, {0: labels}"
+                f"labels is {labels.shape}: expected (N, H, W), one (H, W) array for every "
+                "frame; for labels of the first frame alone give {0: labels}"
             )
         elif isinstance(labels, (Sequence, np.ndarray)):
             self._check_count(len(labels))
@@ -161,8 +161,8 @@ class LabelReader:
         sizes = list(dict.fromkeys(shape[:2] for shape in shapes))
         if labels.shape not in sizes:
             raise InputError(
-                f"{title}: the size is {labels.shape}, but that of frame {name} is "
-                f"{' or '.join(map(str, sizes))}: expected the same"
+                f"{title}: the size is {labels.shape}, but the size of frame {name} is "
+                f"{' or '.join(map(str, sizes))}: expected the same size"
             )
         self._has_void |= bool((labels == VOID).any())
         self._has_objects |= bool(((labels > 0) & (labels < VOID)).any())
@@ -182,7 +182,9 @@ class LabelReader:
         skip_count, self._next_index = index - self._next_index, index + 1
         for item in islice(self._items, skip_count, None):
             return item
-        raise InputError(f"labels ended before frame {name}: expected None where a frame has none")
+        raise InputError(
+            f"labels ended before frame {name}: expected None for a frame without labels"
+        )
 
 
 def check_labels(values: Any, title: str) -> NDArray[np.uint8]:
@@ -190,8 +192,8 @@ def check_labels(values: Any, title: str) -> NDArray[np.uint8]:
     array = check_unmasked(values, title)
     if array.ndim == 3:
         raise InputError(
-            f"{title} have the shape {array.shape}, as colours do: expected (H, W) of numbers; a "
-            "picture with a palette has them as its indices"
+            f"{title} have the shape {array.shape}, as colours do: expected (H, W) label numbers; "
+            "in a picture with a palette they are the palette indices"
         )
     if array.ndim != 2:
         raise InputError(f"{title} have the shape {array.shape}: expected (H, W)")

@@ -278,6 +278,6 @@ def _join_names(names: Sequence[str], conjunction: str = "and") -> str:
     if len(names) == 1:
         return names[0]
     if len(names) > _MAX_LISTED_NAMES:
-        pattern_end = len(names) - _MAX_LISTED_NAMES
-        return f"{', '.join(names[:_MAX_LISTED_NAMES])} {conjunction} {pattern_end} more"
+        rest_count = len(names) - _MAX_LISTED_NAMES
+        return f"{', '.join(names[:_MAX_LISTED_NAMES])} {conjunction} {rest_count} more"
     return f"{', '.join(names[:-1])} {conjunction} {names[-1]}"

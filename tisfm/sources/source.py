@@ -196,7 +196,7 @@ class FrameSource:
     def __len__(self) -> int:
         """Return the number of pairs if it is known before reading, else raise TypeError.
 
-        There are fewer pairs if frames are skipped.
+        Skipped frames reduce the number of pairs.
         """
         count = self._reader.stated_count if self.count is None else self.count
         if count is None:
@@ -353,8 +353,8 @@ def _refuse_animation(file: Path) -> None:
     if count > 1:
         raise InputError(
             f"{file} is a picture of {count} frames, of which only the first can be read: save "
-            f"them as files of their own, for instance by `magick {file} -coalesce frame%03d.png` "
-            "of ImageMagick, and give their folder"
+            "the frames as separate files, for instance by "
+            f"`magick {file} -coalesce frame%03d.png` of ImageMagick, and give their folder"
         )
 
 

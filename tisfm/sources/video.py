@@ -109,7 +109,7 @@ class OpenCvVideo:
             raise cut_off_error(self.title, f"{index}", f"{self.stated_count} frames")
 
     def _call(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Call a function of OpenCV; MemoryError if memory does not suffice."""
+        """Call a function of OpenCV; raise MemoryError if there is not enough memory."""
         with opencv_memory_errors(self.title):
             return function(*arguments)
 
@@ -130,7 +130,7 @@ def _streams_note(path: str) -> str:
         return ""
     return (
         f"{path} has {count} video streams, and OpenCV reads the first; `pip install "
-        "'tisfm[video]'` installs PyAV, with which the one marked as default or the largest is read"
+        "'tisfm[video]'` installs PyAV, which reads the stream marked as default or the largest"
     )
 
 
@@ -156,7 +156,7 @@ def open_video(
     if reason := reason_without_frames(path):
         raise FormatError(
             f"{path} cannot be read: {reason}; copy it again, record it again, or rebuild its "
-            "table of frames with a tool for that, such as untrunc"
+            "table of frames with a tool such as untrunc"
         )
     if has_av():
         from tisfm.sources.av_video import AvVideo

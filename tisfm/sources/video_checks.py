@@ -50,7 +50,7 @@ def refuse_large_frames(path: str, width: int, height: int) -> None:
     if width * height > MAX_FRAME_PIXELS:
         raise FormatError(
             f"{path} has frames of {width} × {height} px, more than {MAX_FRAME_PIXELS} pixels: "
-            "it is damaged, or has to be shrunk"
+            "the file is damaged, or the video has to be shrunk"
         )
 
 

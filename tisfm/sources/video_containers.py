@@ -12,13 +12,13 @@ _MP4_FIRST_BOXES = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot
 _IMAGE_BRANDS = tuple(b"ftyp" + brand for brand in (b"heic", b"heix", b"mif1", b"avif"))
 # Elements of Matroska files, by their ids in the specification.
 _EBML = 0x1A45DFA3  # the header
-_SEGMENT = 0x18538067
+_SEGMENT = 0x18538067  # all streams of the file
 _TRACKS = 0x1654AE6B  # descriptions of the streams
-_TRACK_ENTRY = 0xAE
-_TRACK_TYPE = 0x83
+_TRACK_ENTRY = 0xAE  # description of one stream
+_TRACK_TYPE = 0x83  # video, audio or other
 _CLUSTER = 0x1F43B675  # frames; they come after the descriptions of the streams
 _VIDEO_TRACK = 1  # value of _TRACK_TYPE
-_MAX_BOXES = 100_000  # boxes or elements to read from a file: a damaged file may have endless ones
+_MAX_BOXES = 100_000  # boxes or elements to read from a file: a damaged file may have no end
 
 
 def reason_without_frames(path: str) -> str | None:
@@ -75,8 +75,8 @@ def _boxes(file: BinaryIO, begin: int, end: int) -> Iterator[tuple[bytes, int, i
 def _count_mp4_videos(file: BinaryIO, end: int) -> int:
     """Return the number of video tracks of an MP4 file."""
     return sum(
-        _handler_type(file, media, stop) == b"vide"
-        for media, stop in _boxes_by_path(file, 0, end, (b"moov", b"trak", b"mdia", b"hdlr"))
+        _handler_type(file, begin, stop) == b"vide"
+        for begin, stop in _boxes_by_path(file, 0, end, (b"moov", b"trak", b"mdia", b"hdlr"))
     )
 
 
@@ -154,7 +154,5 @@ def _read_integer(file: BinaryIO, *, with_marker: bool) -> tuple[int, bool] | No
     if len(data) < length:
         return None
     value = int.from_bytes(data, "big")
-    value_without_marker = value & ((1 << 7 * length) - 1)
-    return (value if with_marker else value_without_marker), value_without_marker == (
-        1 << 7 * length
-    ) - 1
+    bits = value & ((1 << 7 * length) - 1)  # without the marker
+    return (value if with_marker else bits), bits == (1 << 7 * length) - 1
