@@ -169,7 +169,7 @@ class PlaneOperations(TaichiSide):
     def views_costs(self) -> Timed:
         p, search, state = self.problem, self._views_search(), interleaved(self.views.own)
         out = np.empty((VIEWS, p.height, p.width), np.float32)
-        return partial(search.costs, state, out), lambda _: out * self.views.seen
+        return partial(search.write_costs, state, out), lambda _: out * self.views.seen
 
     def _search(self) -> PlaneSearch:
         p, levels = self.problem, [part.astype(np.float32) for part in self.planes.levels]
