@@ -74,13 +74,13 @@ def test_bare_cells_beside_an_outline_do_not_count():
         level=0,
         inverse_depth=depth,
         slopes=np.zeros((2, 40, 60), np.float32),
-        reliable=np.ones((40, 60), bool),
+        is_reliable=np.ones((40, 60), bool),
     )
     weight, target = match_weights(shifted(step, (1, 0, 0)), planes)
     assert (weight[:, 29:31] > 0.9).all()
     assert weight[:, :25].mean() < 0.3 > weight[:, 35:].mean()
     np.testing.assert_array_equal(target, np.where(weight > 0, 5, 0))
-    nowhere = replace(planes, reliable=np.zeros((40, 60), bool))
+    nowhere = replace(planes, is_reliable=np.zeros((40, 60), bool))
     assert not match_weights(shifted(step, (1, 0, 0)), nowhere).any()
 
 

@@ -70,7 +70,7 @@ def test_effort_sets_the_density_of_cells():
     scene = views("sideways", 240, 320)
     found = {effort: found_in(scene.first(2), effort=effort) for effort in ("fast", "balanced")}
     assert [found[effort].level for effort in found] == [1, 0]
-    assert found["fast"].reliable.shape == (120, 160)
+    assert found["fast"].is_reliable.shape == (120, 160)
     assert scene.errors(found["balanced"]).mean() < scene.errors(found["fast"]).mean() < 0.03
 
 
@@ -99,8 +99,8 @@ def test_masked_pixels_are_ignored():
     noise = key.copy()
     noise[:, 100:] = rng.uniform(0, 255, noise[:, 100:].shape)
     found = found_in((noise, others, motions, camera), key_mask=mask)
-    assert not found.reliable[:, 100:].any()
-    assert found.reliable[:, :100].mean() > 0.3
+    assert not found.is_reliable[:, 100:].any()
+    assert found.is_reliable[:, :100].mean() > 0.3
 
 
 def test_uniform_frames_have_no_depth():

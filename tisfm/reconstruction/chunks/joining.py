@@ -68,7 +68,7 @@ def place_chunks(
     has_given_poses: bool,  # whether the user gave poses: then all results have one world and unit
 ) -> list[ChunkPlacement]:
     """Return the placement of every frame of the joined result, in order."""
-    owners = _chunk_of_frames(parts)
+    chunk_numbers = _chunk_of_frames(parts)
     nodes = [(k, piece) for k, part in enumerate(parts) for piece in range(len(part.result.unit))]
     if has_given_poses:
         worlds = [{node: np.eye(4) for node in range(len(nodes))}]
@@ -83,20 +83,20 @@ def place_chunks(
     pieces: dict[int, int] = {}
     bases: dict[int, tuple[np.ndarray, float]] = {}  # by world: its first pose, and its unit
     placements = []
-    for index, owner in owners.items():
-        part = parts[owner]
-        node, number = (owner, part.piece(index)), part.frames[index]
+    for index, chunk_number in chunk_numbers.items():
+        part = parts[chunk_number]
+        node, number = (chunk_number, part.piece(index)), part.frames[index]
         if node[1] < 0:
             no_pose = np.full((4, 4), np.nan)
             placements.append(
-                ChunkPlacement(part=owner, number=number, piece=-1, pose=no_pose, scale=1.0)
+                ChunkPlacement(part=chunk_number, number=number, piece=-1, pose=no_pose, scale=1.0)
             )
             continue
         world = world_of_node[node]
         pose = transform_pose(similarity[node], part.result.poses[number])
         if world not in pieces:
             pieces[world] = len(pieces)
-            unit = _unit_of_world(parts, owners, similarity, world_of_node, world)
+            unit = _unit_of_world(parts, chunk_numbers, similarity, world_of_node, world)
             # For the first frame of all, the base is an exact identity.
             is_identity = np.allclose(pose, np.eye(4), atol=1e-12)
             bases[world] = (np.eye(4) if is_identity or has_given_poses else pose), unit
@@ -105,26 +105,28 @@ def place_chunks(
         pose[:3, 3] /= unit
         scale = sim3_scale(similarity[node]) / unit
         placements.append(
-            ChunkPlacement(part=owner, number=number, piece=pieces[world], pose=pose, scale=scale)
+            ChunkPlacement(
+                part=chunk_number, number=number, piece=pieces[world], pose=pose, scale=scale
+            )
         )
     return placements
 
 
 def _chunk_of_frames(parts: Sequence[ChunkResult]) -> dict[int, int]:
     """Return the number of the chunk of each frame, by the frame's number in the source."""
-    owners: dict[int, int] = {}
-    cuts = [_first_frame_of_later(before, after) for before, after in pairwise(parts)]
+    chunk_numbers: dict[int, int] = {}
+    first_frames = [_first_frame_of_later(before, after) for before, after in pairwise(parts)]
     for k, part in enumerate(parts):
         for index in part.frames:
-            if k == 0 or index >= cuts[k - 1]:
-                owners[index] = k
+            if k == 0 or index >= first_frames[k - 1]:
+                chunk_numbers[index] = k
     for k, (before, after) in enumerate(pairwise(parts)):
         for index in before.frames.keys() & after.frames.keys():
             # Prefer the chunk in which the frame has a pose.
-            for one, other in ((k, k + 1), (k + 1, k)):
-                if parts[one].piece(index) < 0 <= parts[other].piece(index):
-                    owners[index] = other
-    return dict(sorted(owners.items()))
+            for chunk, other in ((k, k + 1), (k + 1, k)):
+                if parts[chunk].piece(index) < 0 <= parts[other].piece(index):
+                    chunk_numbers[index] = other
+    return dict(sorted(chunk_numbers.items()))
 
 
 def _first_frame_of_later(before: ChunkResult, after: ChunkResult) -> int:
@@ -179,7 +181,7 @@ def _worlds(
 
 def _unit_of_world(
     parts: Sequence[ChunkResult],
-    owners: dict[int, int],
+    chunk_numbers: dict[int, int],
     similarity: dict[tuple[int, int], np.ndarray],
     world_of_node: dict[tuple[int, int], int],
     world: int,
@@ -189,9 +191,9 @@ def _unit_of_world(
     The unit of this piece becomes the unit of the world.
     """
     world_frames = [
-        (owner, index)
-        for index, owner in owners.items()
-        if world_of_node.get((owner, parts[owner].piece(index))) == world
+        (chunk_number, index)
+        for index, chunk_number in chunk_numbers.items()
+        if world_of_node.get((chunk_number, parts[chunk_number].piece(index))) == world
     ]
     first = next(
         (

@@ -58,15 +58,15 @@ def shared_camera(
                 _complete_results(candidates, map_unordered), key=lambda result: result[0]
             )
         ]
-    best = next((result for result in results if result.calibration.seen), None)
-    if best is None:
-        best = min(results, key=_relative_deviation)
-    camera, record = read_camera(best.folder), read_camera_record(best.folder)
+    best_result = next((result for result in results if result.calibration.seen), None)
+    if best_result is None:
+        best_result = min(results, key=_relative_deviation)
+    camera, record = read_camera(best_result.folder), read_camera_record(best_result.folder)
     if camera.readout is None:  # unknown: chunks must not search again
         camera = replace(camera, readout=0.0)
     shape = record["height"], record["width"]
     write_camera(folder / FILE_NAME, camera, shape, about=record)
-    return SharedCamera(camera=folder / FILE_NAME, result=best)
+    return SharedCamera(camera=folder / FILE_NAME, result=best_result)
 
 
 def _relative_deviation(result: Reconstruction) -> float:

@@ -64,8 +64,8 @@ def make_keyframe_window(
     level = 0
     while frame.size >> 2 * level > DEPTH.max_adjust_pixels:
         level += 1
-    small = _shrink(frame, level)
-    height, width = small.shape
+    small_frame = _shrink(frame, level)
+    height, width = small_frame.shape
     stride = 2**level
     offset = stride // 2
     samples = [image[offset::stride, offset::stride] for image in (inverse_depth, deviation)]
@@ -74,8 +74,8 @@ def make_keyframe_window(
     valid = np.isfinite(depth) & (depth > 0)
     with np.errstate(invalid="ignore", divide="ignore"):
         certainty = 1 / (1 + (samples[1] / depth / DEPTH.half_weight_deviation) ** 2)
-    variance = window_variance(small, DEPTH.texture_window)
-    texture = variance / (variance + DEPTH.adjust_texture * noise_deviation(small) ** 2)
+    variance = window_variance(small_frame, DEPTH.texture_window)
+    texture = variance / (variance + DEPTH.adjust_texture * noise_deviation(small_frame) ** 2)
     weight = np.where(valid, np.nan_to_num(certainty) * texture, 0)
     if used_pixels is not None:
         mask = np.pad(used_pixels[offset::stride, offset::stride], [(0, 1)] * 2, mode="edge")
@@ -101,21 +101,21 @@ def adjust_poses(
     rounds: int | None = None,  # Gauss–Newton steps; by default those of the settings
 ) -> dict[int, np.ndarray]:
     """Return poses that fit the images better. The depth of the windows changes in place."""
-    adjusted = {frame: np.array(pose, np.float64) for frame, pose in poses.items()}
-    windows = [w for w in windows if any(f in adjusted and f != w.key for f in w.members)]
+    new_poses = {frame: np.array(pose, np.float64) for frame, pose in poses.items()}
+    windows = [w for w in windows if any(f in new_poses and f != w.key for f in w.members)]
     if not windows:
-        return adjusted
+        return new_poses
     cache = _FrameCache(frames, camera, settings)
     for step_index in range(DEPTH.adjust_rounds if rounds is None else rounds):
-        systems = [_linearise(w, adjusted, cache, move_depth=step_index > 0) for w in windows]
-        displacements = {f: _twist_between(adjusted[f], pose) for f, pose in poses.items()}
-        steps = _solve(systems, sorted(adjusted), displacements, fixed_frames or (min(adjusted),))
+        systems = [_linearise(w, new_poses, cache, move_depth=step_index > 0) for w in windows]
+        displacements = {f: _twist_between(new_poses[f], pose) for f, pose in poses.items()}
+        steps = _solve(systems, sorted(new_poses), displacements, fixed_frames or (min(new_poses),))
         for frame, step in steps.items():
             rotation, translation = rigid_motion(step)
             inverse_step = np.eye(4)
             inverse_step[:3, :3], inverse_step[:3, 3] = rotation.T, -rotation.T @ translation
-            adjusted[frame] = adjusted[frame] @ inverse_step
-    return adjusted
+            new_poses[frame] = new_poses[frame] @ inverse_step
+    return new_poses
 
 
 class _FrameCache:
@@ -133,8 +133,8 @@ class _FrameCache:
             return self._entries[key]
         while len(self._entries) >= CACHED_FRAMES:
             self._entries.pop(next(iter(self._entries)))
-        small = _shrink(self._frames(number), level)
-        self._entries[key] = small, spline_taps(small)
+        small_frame = _shrink(self._frames(number), level)
+        self._entries[key] = small_frame, spline_taps(small_frame)
         return self._entries[key]
 
     def camera(self, number: int, level: int) -> Camera:
@@ -182,7 +182,8 @@ def _linearise(
     count = len(members)
     slopes, sums = grid.allocate(6 * count), grid.allocate(2)
     matrix, vector = np.zeros((6 * count, 6 * count)), np.zeros(6 * count)
-    to_members = np.zeros((6 * count, 6 * (count + 1)))
+    # of the motions from the keyframe to the members, by the pose steps of all frames
+    jacobian = np.zeros((6 * count, 6 * (count + 1)))
     for j, frame in enumerate(members):
         relative = (np.linalg.inv(poses[frame]) @ poses[window.key])[:3]
         relative[:, 3] /= unit
@@ -210,12 +211,12 @@ def _linearise(
             quarter_weight_residual=max(DEPTH.outlier_scale**2 * median_square, 1e-12),
         )  # fmt: skip
         rotation, translation = relative[:, :3], relative[:, 3]
-        to_members[block, 6 * (j + 1) : 6 * (j + 2)] = np.eye(6)
+        jacobian[block, 6 * (j + 1) : 6 * (j + 2)] = np.eye(6)
         coupling = cross_matrices(translation[None])[0] @ rotation
-        to_members[block, :6] = -np.block([[rotation, coupling], [np.zeros((3, 3)), rotation]])
+        jacobian[block, :6] = -np.block([[rotation, coupling], [np.zeros((3, 3)), rotation]])
     # Translations of the steps are in the unit of the poses.
     for j in range(count + 1):
-        to_members[:, 6 * j : 6 * j + 3] /= unit
+        jacobian[:, 6 * j : 6 * j + 3] /= unit
     depth_damping = DEPTH.depth_damping * max(float(sums[0].sum()) / key.size, 1e-12) + 1e-12
     depth_matrix, depth_vector = eliminate_depth(grid, slopes, sums, depth_stiffness=depth_damping)
     matrix -= depth_matrix
@@ -224,8 +225,8 @@ def _linearise(
         _move_depth(window, grid, sums, depth_damping, camera.focal * unit)
     return _NormalEquations(
         frames=[window.key, *members],
-        matrix=to_members.T @ matrix @ to_members,
-        vector=to_members.T @ vector,
+        matrix=jacobian.T @ matrix @ jacobian,
+        vector=jacobian.T @ vector,
     )
 
 

@@ -107,10 +107,10 @@ class PieceDepths:
         """Yield the depth of the frames since the last finished keyframe, up to a keyframe."""
         if key in self.final_depths:
             return
-        after = max(self.final_depths, default=min(self._piece.poses) - 1)
+        previous = max(self.final_depths, default=min(self._piece.poses) - 1)
         depth = self.final_depths[key] = self._fuse_neighbours(key)
         yield self._written_depth(key, depth.inverse_depth, depth.deviation)
-        yield from self._frames_between(after, key)
+        yield from self._frames_between(previous, key)
         self.final_depths = {key: depth}
 
     def _fuse_neighbours(self, key: int) -> WindowDepth:
@@ -149,9 +149,9 @@ class PieceDepths:
                 windows.append(make_keyframe_window(key, batch, *images))
         return windows
 
-    def _frames_between(self, after: int, before: int) -> Iterator[FrameDepth]:
+    def _frames_between(self, previous: int, following: int) -> Iterator[FrameDepth]:
         for frame in sorted(self._piece.poses):
-            if max(after, self._written_until) < frame < before:
+            if max(previous, self._written_until) < frame < following:
                 inverse_depth, deviation = self._render_depth(frame)
                 if np.isfinite(inverse_depth).any():
                     yield self._written_depth(frame, inverse_depth, deviation)

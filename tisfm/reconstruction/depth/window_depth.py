@@ -58,7 +58,7 @@ class WindowDepth:
 
     inverse_depth: np.ndarray  # (H, W) float32: 1/unit of the poses; positive
     deviation: np.ndarray  # (H, W) float32: standard deviation of the inverse depth
-    reliable: np.ndarray  # (h, w) bool: cells, 2^`level` px a side, with a reliable match
+    is_reliable: np.ndarray  # (h, w) bool: cells, 2^`level` px a side, with a reliable match
     level: int
 
 
@@ -100,19 +100,22 @@ def window_depth(
     )
     planes = window_planes(window)
     anchors = match_weights(window, planes)
-    planes = replace(planes, reliable=anchors[0] > 0)
-    if planes.reliable.sum() < max(1, DEPTH.min_matched_share * window.used_cells.sum()):
+    planes = replace(planes, is_reliable=anchors[0] > 0)
+    if planes.is_reliable.sum() < max(1, DEPTH.min_matched_share * window.used_cells.sum()):
         return None
     refinement = _DepthRefinement(window, settings, anchors)
     for _ in range(DEPTH.warps):
         refinement.step()
     depth = refinement.depth()
-    depth = np.maximum(depth, min_inverse_depth(planes.inverse_depth[planes.reliable]))
+    depth = np.maximum(depth, min_inverse_depth(planes.inverse_depth[planes.is_reliable]))
     deviation = _deviation(planes, depth, refinement.residual())
     side, scale = 2**window.level, window.unit * window.camera_of(window.level).focal
     images = enlarge(np.stack([depth, deviation]) / np.float32(scale), side, *key.shape)
     return WindowDepth(
-        inverse_depth=images[0], deviation=images[1], reliable=planes.reliable, level=window.level
+        inverse_depth=images[0],
+        deviation=images[1],
+        is_reliable=planes.is_reliable,
+        level=window.level,
     )
 
 
@@ -152,10 +155,10 @@ class _DepthRefinement:
         depth, slopes = extend_depth(anchors[1], anchors[0], frame, smoothness, iterations=1)
         self._grid = grid = runtime.lane_grid(*frame.shape)
         unknowns = Unknowns(grid, camera, 1)
-        textured = texture_weight(frame, half_variance=DEPTH.data_texture) * window.used_cells
-        weight = anchors[0] * (1 - (1 - DEPTH.match_share_left) * textured)
+        texture = texture_weight(frame, half_variance=DEPTH.data_texture) * window.used_cells
+        weight = anchors[0] * (1 - (1 - DEPTH.match_share_left) * texture)
         constraint = grid.allocate(3)
-        self._sums = sums = grid.allocate(3)
+        self._sums = sums = grid.allocate(3)  # A, B and C of the sum of the data terms
         self._minimiser = minimiser = SecondOrderMinimiser(
             grid,
             anchors_in_lanes(grid, np.stack([weight, anchors[1]])),
@@ -171,15 +174,15 @@ class _DepthRefinement:
         tensor = grid.allocate(6)
         constancy = depth_problem(settings, camera.focal).constancy
         costs = plane_costs(window, depth, slopes) / np.float32(DEPTH.max_cost)
-        visibility = np.maximum(1 - costs, 0) * textured
-        self._linearise: list[Callable[[], None]] = []
+        visibility = np.maximum(1 - costs, 0) * texture
+        self._linearisers: list[Callable[[], None]] = []
         for j, motion in enumerate(window.motions):
             other = window.at_cell_level(1 + j)
             data = DataTerm(grid, frame, other, spline_taps(other), constancy, mean_step(frame))
             data_weight, labels = grid.allocate(1), grid.allocate(1)
             image_to_lanes(grid, np.float32(DEPTH.data_weight) * visibility[j], data_weight)
             motions = np.ascontiguousarray(motion[None], np.float32)
-            self._linearise.append(
+            self._linearisers.append(
                 join_launches(
                     displacement.bind(
                         grid, inverse_depth, labels, unknowns.x_hat, unknowns.y_hat, flow,
@@ -191,14 +194,14 @@ class _DepthRefinement:
                     ),
                 )
             )  # fmt: skip
-        self._bound_constraint = depth_constraint.bind(grid, sums, constraint)
+        self._update_constraint = depth_constraint.bind(grid, sums, constraint)
 
     def step(self) -> None:
         """Linearise the data terms of every frame once, and minimise the energy."""
         self._sums.fill(0)
-        for linearise in self._linearise:
+        for linearise in self._linearisers:
             linearise()
-        self._bound_constraint()
+        self._update_constraint()
         self._minimiser.update()
         self._minimiser.minimise(DEPTH.iterations)
 
@@ -218,14 +221,14 @@ def _deviation(
     planes: WindowPlanes, depth: np.ndarray, residual: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
     """Return the standard deviation of D, (h, w) float32, cells."""
-    distance = cv2.distanceTransform((~planes.reliable).astype(np.uint8), cv2.DIST_L2, 5)
+    distance = cv2.distanceTransform((~planes.is_reliable).astype(np.uint8), cv2.DIST_L2, 5)
     distance *= 2**planes.level
     precision, square = (cv2.blur(image, DEPTH.averaging_window) for image in residual)
     square = np.minimum(square / np.maximum(precision, MIN_DIVISOR), DEPTH.max_residual**2)
-    reliable = planes.reliable.astype(np.float32)
-    difference = cv2.blur(reliable * np.abs(depth - planes.inverse_depth), DEPTH.averaging_window)
+    weight = planes.is_reliable.astype(np.float32)
+    difference = cv2.blur(weight * np.abs(depth - planes.inverse_depth), DEPTH.averaging_window)
     min_share = np.float32(1 / math.prod(DEPTH.averaging_window))
-    difference = difference / np.maximum(cv2.blur(reliable, DEPTH.averaging_window), min_share)
+    difference = difference / np.maximum(cv2.blur(weight, DEPTH.averaging_window), min_share)
     difference = np.float32(DEPTH.difference_share) * difference**2 / (difference + DEPTH.scatter)
     deviation: np.ndarray = np.sqrt(
         DEPTH.min_deviation**2

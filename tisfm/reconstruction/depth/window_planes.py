@@ -34,7 +34,7 @@ class WindowPlanes:
     level: int
     inverse_depth: np.ndarray  # (h, w) float32: D, px
     slopes: np.ndarray  # (2, h, w) float32: ∂D/∂x and ∂D/∂y, px per cell
-    reliable: np.ndarray  # (h, w) bool
+    is_reliable: np.ndarray  # (h, w) bool
 
 
 class Window:
@@ -134,9 +134,9 @@ class Window:
 
     def _search(self, level: int, stride: int) -> ViewSearch:
         offset, gain, noise = self._grey_scaling
-        density = 0.5 ** (level - self.finest_level)
-        scaled = [gain * (frame[level] - offset) for frame in self.frames]
-        frames = [np.clip(frame, 0, MAX_GREY).astype(np.float32) for frame in scaled]
+        noise_factor = 0.5 ** (level - self.finest_level)
+        scaled_frames = [gain * (frame[level] - offset) for frame in self.frames]
+        frames = [np.clip(frame, 0, MAX_GREY).astype(np.float32) for frame in scaled_frames]
         for levels, mask in zip(frames[1:], self._masks, strict=True):
             if mask is not None:
                 _replace_masked(levels, mask)
@@ -150,7 +150,7 @@ class Window:
             stride=stride,
             center=camera.center_for(*frames[0].shape),
             focal=camera.focal,
-            noise=max(density * noise, PAIR_DEPTH.min_coarse_noise),
+            noise=max(noise_factor * noise, PAIR_DEPTH.min_coarse_noise),
             min_variance=PAIR_DEPTH.min_window_variance,
             min_depth=scale * PAIR_DEPTH.min_plane_depth,
             max_depth=scale * self.max_depth,
@@ -205,13 +205,13 @@ def window_planes(window: Window) -> WindowPlanes:
             )
     planes[..., :3] *= np.float32(0.5 ** (window.level - level))
     depth = np.ascontiguousarray(planes[..., 0])
-    reliable = (planes[..., 3] < DEPTH.max_cost) & (depth > 0) & window.used_cells
+    is_reliable = (planes[..., 3] < DEPTH.max_cost) & (depth > 0) & window.used_cells
     min_cells = max(1, DEPTH.min_region >> 2 * window.level)
     return WindowPlanes(
         level=window.level,
         inverse_depth=depth,
         slopes=np.ascontiguousarray(np.moveaxis(planes[..., 1:3], -1, 0)),
-        reliable=_remove_small_regions(depth, reliable, min_cells),
+        is_reliable=_remove_small_regions(depth, is_reliable, min_cells),
     )
 
 
@@ -233,11 +233,11 @@ def plane_costs(
 
 def _random_planes(window: Window, search: ViewSearch, level: int) -> np.ndarray:
     """Return random planes, (h, w, 4) float32."""
-    random = np.random.default_rng(0).random((*search.shape, 4), np.float32)
+    planes = np.random.default_rng(0).random((*search.shape, 4), np.float32)
     focal = window.camera_of(level).focal
-    random[..., 0] *= 0.5**level * window.max_depth
-    random[..., 1:3] = (2 * random[..., 1:3] - 1) * random[..., :1] * (MAX_SLOPE / focal)
-    return random
+    planes[..., 0] *= 0.5**level * window.max_depth
+    planes[..., 1:3] = (2 * planes[..., 1:3] - 1) * planes[..., :1] * (MAX_SLOPE / focal)
+    return planes
 
 
 def _halve_cells(planes: np.ndarray) -> np.ndarray:
@@ -263,8 +263,8 @@ def _replace_masked(levels: np.ndarray, mask: np.ndarray) -> None:
     """Replace masked-out pixels by noise, in place."""
     size = levels.shape[::-1]
     is_used = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-    random = np.random.default_rng(MASKED_SEED).random(levels.shape, np.float32)
-    levels[~is_used] = (MAX_GREY * random)[~is_used]
+    noise = np.random.default_rng(MASKED_SEED).random(levels.shape, np.float32)
+    levels[~is_used] = (MAX_GREY * noise)[~is_used]
 
 
 def _cell_coverage(mask: np.ndarray, side: int) -> np.ndarray:
@@ -275,9 +275,9 @@ def _cell_coverage(mask: np.ndarray, side: int) -> np.ndarray:
     return cv2.resize(padded, (width, height), interpolation=cv2.INTER_AREA)
 
 
-def _remove_small_regions(depth: np.ndarray, reliable: np.ndarray, min_cells: int) -> np.ndarray:
+def _remove_small_regions(depth: np.ndarray, is_reliable: np.ndarray, min_cells: int) -> np.ndarray:
     """Return the reliable cells in regions of at least `min_cells` cells, (h, w) bool."""
-    levels = np.where(reliable, REGION_UNITS * depth + 1, 0).clip(0, np.iinfo(np.int16).max)
+    levels = np.where(is_reliable, REGION_UNITS * depth + 1, 0).clip(0, np.iinfo(np.int16).max)
     levels = levels.astype(np.int16)
     cv2.filterSpeckles(levels, 0, min_cells, REGION_UNITS)
     return levels > 0

@@ -77,7 +77,7 @@ def final_labels(
         larger_objects = [
             k
             for k in by_size[index + 1 :]
-            if _is_part_of(objects[smaller], objects[k], touching_frames.get(_pair(smaller, k), 0))
+            if _is_part_of(objects[smaller], objects[k], touching_frames.get(_ids(smaller, k), 0))
         ]
         if larger_objects:
             root[smaller] = larger_objects[-1]  # the largest object
@@ -100,7 +100,7 @@ def final_labels(
     return table
 
 
-def _pair(first: int, second: int) -> tuple[int, int]:
+def _ids(first: int, second: int) -> tuple[int, int]:
     return min(first, second), max(first, second)
 
 
