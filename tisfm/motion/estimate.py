@@ -205,8 +205,8 @@ def make_depthless_estimate(
     settings: Settings,
     *,
     level: int,
-    rotation: np.ndarray,
-    translation: np.ndarray,
+    rotation: np.ndarray,  # (3, 3)
+    translation: np.ndarray,  # (3,)
     status: Status,
     history: Records,
 ) -> Estimate:
@@ -243,11 +243,11 @@ def make_depthless_estimate(
 
 
 def _fields(
-    inverse_depth: np.ndarray,
-    labels: np.ndarray,
-    motions: np.ndarray,
-    twists: np.ndarray,
-    twist_units: np.ndarray,
+    inverse_depth: np.ndarray,  # (H, W): D
+    labels: np.ndarray,  # (H, W)
+    motions: np.ndarray,  # (K, 3, 4)
+    twists: np.ndarray,  # (K, 6)
+    twist_units: np.ndarray,  # (K,)
     camera: Camera,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the flow of motions, (2, H, W), and the ρ̂ of their twists, (6, H, W).

@@ -146,12 +146,13 @@ def _fill_nearest(flow: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 
 def fast_areas(
-    is_new: np.ndarray,
+    is_new: np.ndarray,  # (h, w) bool: pixels with a new displacement
+    # forward, previous: (h, w, 4) float32: new and previous states of the flow search
     forward: np.ndarray,
     previous: np.ndarray,
     *,
-    min_speed: float,
-    min_area: int,
+    min_speed: float,  # px of motion over the root of the area
+    min_area: int,  # px
 ) -> np.ndarray:
     """Return the new pixels of connected areas that move far for their size.
 
@@ -212,7 +213,7 @@ def _areas(mask: np.ndarray) -> Iterator[tuple[Part, np.ndarray, int]]:
 
 def consistent_pixels(
     is_new: np.ndarray,  # (h, w) bool
-    forward: np.ndarray,  # (h, w, 4) float32
+    forward: np.ndarray,  # (h, w, 4) float32: new state of the flow search
     is_consistent: np.ndarray,  # (h, w) bool: pixels whose displacement is found in both directions
 ) -> np.ndarray:
     """Return the new pixels that move like the consistent pixels of their area.

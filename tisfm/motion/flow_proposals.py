@@ -305,9 +305,9 @@ def _large_regions(forward: np.ndarray, mask: np.ndarray) -> np.ndarray:
 def _fill_flow(
     windows: Windows,
     comparison: ResidualComparison,
-    flow: np.ndarray,
-    is_known: np.ndarray,
-    previous: np.ndarray,
+    flow: np.ndarray,  # (h, w, 2) float32: px/frame
+    is_known: np.ndarray,  # (h, w) bool
+    previous: np.ndarray,  # (h, w, 4) float32: state of the previous flow in the search
 ) -> np.ndarray:
     """Return a flow whose unknown pixels take the nearest known flow, if the images confirm it.
 

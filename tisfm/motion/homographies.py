@@ -10,7 +10,8 @@ from tisfm.status import Status
 TWO_MOTIONS = Status(
     "two_motions",
     "two camera motions explain the frames equally well, as if the frames show a single plane, so "
-    "depth may belong to the wrong one: take frames that show more than a plane, or give the pose",
+    "depth may belong to the wrong motion: take frames that show more than a plane, or give the "
+    "pose",
 )
 
 

@@ -35,11 +35,11 @@ class RigidLevel:
         pyramid: ImagePyramid,
         level: int,
         settings: Settings,
-        labels: np.ndarray,
-        coarse: Unknowns | None = None,
+        labels: np.ndarray,  # (H, W) int: index of each pixel's motion
+        coarse: Unknowns | None = None,  # of the next coarser level, which is interpolated
         *,
-        support: np.ndarray | None = None,
-        count: int,
+        support: np.ndarray | None = None,  # (H, W) bool: pixels whose data are used
+        count: int,  # number of motions
     ) -> None:
         self._focal = pyramid.cameras[level].focal
         problem = depth_problem(settings, self._focal)

@@ -118,9 +118,9 @@ class _Level:
         self,
         pyramid: ImagePyramid,
         settings: Settings,
-        motion: np.ndarray,
+        motion: np.ndarray,  # (3, 4): R and t
         planes: MatchedPlanes,
-        valid: np.ndarray,
+        valid: np.ndarray,  # (h, w) bool: pixels whose constraints are used
     ) -> None:
         level, matched_depth = planes.level, planes.inverse_depth
         frame, focal = pyramid.frames0[level], pyramid.cameras[level].focal

@@ -168,7 +168,7 @@ def _estimate_level(
     problem: Problem,
     unknowns: Unknowns,
     level: int,
-    warps: int,
+    warps: int,  # number of linearisations
     history: Records,
     change: Callable[[Unknowns], bool] | None = None,
     additional_data: AdditionalData | None = None,

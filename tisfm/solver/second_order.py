@@ -273,5 +273,5 @@ def _check_measurements(target: np.ndarray, weight: np.ndarray, frame: np.ndarra
         raise InputError("weight has values below 0 or not finite: expected numbers of at least 0")
     target = np.where(weight > 0, target, np.float32(0))
     if not np.isfinite(target).all():
-        raise InputError("target is not finite where weight is above 0")
+        raise InputError("target is not finite where weight is above 0: expected finite numbers")
     return np.stack([weight, target])

@@ -64,11 +64,11 @@ def sharpen_labels(
 
 
 def _label_costs(
-    flows: np.ndarray,
-    labels: np.ndarray,
+    flows: np.ndarray,  # (K, 2, H, W)
+    labels: np.ndarray,  # (H, W)
     frame0: np.ndarray,
     frame1: np.ndarray,
-    is_free: np.ndarray,
+    is_free: np.ndarray,  # (H, W) bool: pixels near a boundary
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the costs of visible labels at free pixels, of own labels, and of occluded pixels.
 

@@ -62,12 +62,12 @@ class _CandidateSearch:
 
     def __init__(
         self,
-        flow: np.ndarray,
-        trust: np.ndarray,
-        camera: Camera,
-        frame: np.ndarray,
-        max_error: float,
-        background: np.ndarray,
+        flow: np.ndarray,  # (h, w, 2) float32: px/frame
+        trust: np.ndarray,  # (h, w) float32
+        camera: Camera,  # camera of the flow's level
+        frame: np.ndarray,  # (h, w) float32: grey levels
+        max_error: float,  # px: assumed error of the flow
+        background: np.ndarray,  # (3, 4): motion of the background
     ) -> None:
         self._flow, self._trust, self._camera = flow, trust, camera
         self._background = background

@@ -79,7 +79,7 @@ def _update_precision(
     settings: Settings,
     solution: RigidSolution,
     labels: np.ndarray,
-    is_restored: np.ndarray,
+    is_restored: np.ndarray,  # (H, W) bool: the part
 ) -> RigidSolution:
     """Return a solution whose precision is computed anew on a part of the image."""
     depth = solution.inverse_depth
@@ -90,9 +90,9 @@ def _update_precision(
 
 def _restore_layers(
     solution: RigidSolution,
-    motions: np.ndarray,
-    labels: np.ndarray,
-    expected_flow: np.ndarray,
+    motions: np.ndarray,  # (K, 3, 4): motions of the layers
+    labels: np.ndarray,  # (H, W)
+    expected_flow: np.ndarray,  # (2, H, W): flow of the layers, px/frame
     diverged_labels: list[int],
     camera: Camera,
 ) -> RigidSolution:

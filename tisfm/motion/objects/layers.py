@@ -49,10 +49,10 @@ class Layers:
 class _Surface:
     """A surface fitted on its support, its residual averaged over windows, and its flow."""
 
-    support: np.ndarray
+    support: np.ndarray  # (H, W) bool
     solution: RigidSolution
-    residual: np.ndarray
-    flow: np.ndarray
+    residual: np.ndarray  # (H, W) float32: squared
+    flow: np.ndarray  # (2, H, W) float32: px/frame
 
 
 class Layering:
