@@ -198,7 +198,7 @@ def test_memory_disk_and_masks(disk, monkeypatch):
         seen.append(len(path.observations.frames()))
         views.append(len(path._views.views))
         files.append(sum(item.is_file() for item in disk.rglob("*")))
-        points.append(sum(len(poses) for poses in path._fixed.values()))
+        points.append(sum(len(poses) for poses in path._fixed_poses.values()))
         assert min(one.points[:, 0].min() for one in path.observations) > 39
     assert [frame.index for frame in found] == list(range(0, 2 * COUNT, 2))
     assert path_error(poses_of(found), film.poses) < 0.04

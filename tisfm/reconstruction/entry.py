@@ -72,8 +72,8 @@ def reconstruct(
         The part of the camera that is estimated from the frames. The default is ``"nothing"`` if a
         camera is given, else ``"focal"``: the focal length, with the principal point in the centre.
         ``"radial"`` also finds one coefficient of the lens, k1, and removes its distortion. If a
-        camera is given with ``"focal"`` or ``"radial"``, its focal length is a guess; its
-        distortion moves pixels as far as with that guess. `Reconstruction.calibration` tells how
+        camera is given with ``"focal"`` or ``"radial"``, its focal length is a guess. Its
+        distortion displaces pixels in the same way with every estimated focal length. `Reconstruction.calibration` tells how
         reliable the estimate is. If poses are given without a camera, the focal length is guessed
         from the first image file or the size of the frames.
     settings : Settings, optional

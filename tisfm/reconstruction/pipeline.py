@@ -2,7 +2,8 @@
 
 Each stage is a function. It takes the frozen results of earlier stages, and returns its own result:
 `read_frames` (which tracks each frame while the next one is read), `solve_path`, `find_depth` and
-`write_result`. Prepared frames and depth are too large for memory: they lie in the folder.
+`write_result`. Prepared frames and depth are too large for memory: they are stored in the folder of
+the result.
 """
 
 import warnings
@@ -69,7 +70,7 @@ class Job:
     poses: Trajectory | None  # given poses
     folder: Path  # folder of the result, ready to be written to
     progress: Progress = _no_progress  # as for `tisfm.reconstruct`
-    depth_of: DepthOf = "all"  # the frames whose depth is found
+    depth_of: DepthOf = "all"  # the frames whose depth is estimated
     # known lengths of moving objects, by their ids
     object_sizes: Mapping[int, float] = field(default_factory=dict)
     # whether given labels already belong to frames without distortion and readout effect

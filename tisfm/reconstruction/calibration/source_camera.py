@@ -45,16 +45,16 @@ class SourceCamera:
 
     @classmethod
     def from_first_frame(
-        cls, source: FrameSource, given: Camera | Path | None, frame: SourceFrame
+        cls, source: FrameSource, given_camera: Camera | Path | None, frame: SourceFrame
     ) -> "SourceCamera":
         """Return the given camera, the camera of a file, or a guess from the first frame."""
         height, width = frame.full_shape or frame.image.shape[:2]
         guess, given_calibration = None, GIVEN
-        if isinstance(given, Path):
-            full_camera = read_camera(given, (height, width))
-            given_calibration = read_calibration(given, full_camera.focal)
-        elif given is not None:
-            full_camera = given
+        if isinstance(given_camera, Path):
+            full_camera = read_camera(given_camera, (height, width))
+            given_calibration = read_calibration(given_camera, full_camera.focal)
+        elif given_camera is not None:
+            full_camera = given_camera
         else:
             guess = guess_focal(source.first_file or frame.full_shape or frame.image.shape)
             full_camera = Camera(focal=guess.focal)

@@ -93,11 +93,11 @@ def chain_sim3(count: int, edges: Sequence[Link]) -> list[dict[int, np.ndarray]]
         motion = (
             similarities[edge.first] @ edge.similarity @ np.linalg.inv(similarities[edge.second])
         )
-        merged = group[edge.first] + group[edge.second]
+        merged_group = group[edge.first] + group[edge.second]
         for node in group[edge.second]:
             similarities[node] = motion @ similarities[node]
-        for node in merged:
-            group[node] = merged
+        for node in merged_group:
+            group[node] = merged_group
     groups = []
     for node in range(count):
         nodes = sorted(group[node])
@@ -133,9 +133,10 @@ def _optimise(start: dict[int, np.ndarray], edges: Sequence[Edge]) -> dict[int, 
         change = np.zeros(7 * len(nodes))
         change[7:] = -solve_sparse(matrix[7:, 7:], vector[7:])
         for node in nodes[1:]:
-            scale, *rest = change[7 * index_of[node] : 7 * index_of[node] + 7]
+            scale, *vectors = change[7 * index_of[node] : 7 * index_of[node] + 7]
             similarities[node] = (
-                sim3_from_vector(scale, np.array(rest[:3]), np.array(rest[3:])) @ similarities[node]
+                sim3_from_vector(scale, np.array(vectors[:3]), np.array(vectors[3:]))
+                @ similarities[node]
             )
         if outlier_error == last_outlier_error and np.abs(change).max() < GEOMETRY.min_step:
             break

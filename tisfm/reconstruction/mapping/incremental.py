@@ -69,7 +69,7 @@ def grow_from_poses(
     # Whether the known poses stay fixed. Otherwise they are adjusted with all other poses.
     are_poses_fixed: bool = True,
     # ids of the views that may be added; by default all views without a known pose
-    allowed: Collection[int] | None = None,
+    allowed_views: Collection[int] | None = None,
 ) -> Any:
     """Return pycolmap's reconstruction, continued from views with known poses."""
     cache, mapper, options = _open_mapper(database)
@@ -87,7 +87,7 @@ def grow_from_poses(
     mapper.begin_reconstruction(model)
     for view_id in known_poses:
         mapper.triangulate_image(options.triangulation, view_id)
-    others = set(cache.images) if allowed is None else set(cache.images) & set(allowed)
+    others = set(cache.images) if allowed_views is None else set(cache.images) & set(allowed_views)
     _add_views(mapper, model, options, others - set(known_poses), is_rough=not are_poses_fixed)
     mapper.end_reconstruction(False)
     return model
@@ -129,7 +129,7 @@ class _FirstPairs:
     """Selects the pairs of views from which a path may begin."""
 
     def __init__(self, pairs: Pairs, is_focal_known: bool) -> None:  # as for `grow_models`
-        self._pairs, self._focal_known = pairs, is_focal_known
+        self._pairs, self._is_focal_known = pairs, is_focal_known
         self._residual_angles = rotation_residuals if is_focal_known else homography_residuals
         self._ranked_pairs = self._rank()
 
@@ -147,7 +147,11 @@ class _FirstPairs:
         for angle in MAPPING.first_pair_angles:
             options.mapper.init_min_tri_angle = angle
             for pair in pairs[: MAPPING.max_first_pairs]:
-                if any(abs(view - used) < min_distance for view in pair for used in used_views):
+                if any(
+                    abs(view - used_view) < min_distance
+                    for view in pair
+                    for used_view in used_views
+                ):
                     continue
                 motion = mapper.estimate_initial_two_view_geometry(options.mapper, *pair)
                 if motion is not None and self._has_parallax(motion.matrix(), *pair):
@@ -187,7 +191,7 @@ class _FirstPairs:
         before, after = self._pairs[first, second]
         epipolar_angle = float(np.median(epipolar_angles(np.eye(4)[:3], motion, before, after)))
         homography_angle = float(np.median(homography_residuals(before, after)))
-        if not self._focal_known:
+        if not self._is_focal_known:
             return homography_angle > MAPPING.min_homography_ratio_guessed * epipolar_angle
         rotation_angle = float(np.median(rotation_residuals(before, after)))
         return (

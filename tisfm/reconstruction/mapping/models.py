@@ -72,11 +72,11 @@ class ViewGraph:
 
     def subgraph(self, first: int, last: int) -> "ViewGraph":
         """Return the graph of the views with indices from `first` to `last` − 1."""
-        inside = range(first, last)
+        indices_of_views = range(first, last)
         pairs = {
             (earlier - first, later - first): indices
             for (earlier, later), indices in self.pairs.items()
-            if earlier in inside and later in inside
+            if earlier in indices_of_views and later in indices_of_views
         }
         return replace(self, views=self.views[first:last], pairs=pairs)
 
@@ -200,7 +200,10 @@ def continue_model(
     """Find the poses of more views, and points; the known poses stay fixed."""
     graph = ViewGraph.from_views(views, matches, shape)
     model = _model_of_reconstruction(graph.continue_model(camera, known_poses), graph.views)
-    poses = {**model.poses, **{f: known_poses[f] for f in known_poses if f in model.poses}}
+    poses = {
+        **model.poses,
+        **{frame: known_poses[frame] for frame in known_poses if frame in model.poses},
+    }
     return _add_track_points(Model(poses=poses, points=model.points), views, camera, shape)
 
 
@@ -228,7 +231,7 @@ def readjust_models(
                 numbers[frame]: np.linalg.inv(pose)[:3] for frame, pose in poses.items()
             }
             model = grow_from_poses(
-                database, inverse_poses, are_poses_fixed=False, allowed=remaining
+                database, inverse_poses, are_poses_fixed=False, allowed_views=remaining
             )
             remaining -= set(model.reg_image_ids())
             reconstructions.append(model)

@@ -16,7 +16,7 @@ MAX_TIME_SHARE = 0.5
 
 
 def poses_of_frames(
-    given: Trajectory,
+    trajectory: Trajectory,
     times: Sequence[float | None],  # times of the frames, s; None if unknown
 ) -> tuple[np.ndarray, dict[int, Status]]:
     """Return a pose for each frame, NaN for a frame without a pose, and the reasons for NaN.
@@ -30,32 +30,33 @@ def poses_of_frames(
     frames; or if no pose is near a frame in time.
     """
     reason = "no pose is given for it"
-    if given.times is None or len(times) < 2 or not are_increasing(times):
-        _check_pose_per_frame(given, len(times))
-        poses = given.poses
+    if trajectory.times is None or len(times) < 2 or not are_increasing(times):
+        _check_pose_per_frame(trajectory, len(times))
+        poses = trajectory.poses
     else:
         frame_times = np.array(times, np.float64)
         max_time = MAX_TIME_SHARE * float(np.median(np.diff(frame_times)))
-        frames, indices = associate(frame_times, given.times, farthest=max_time)
+        frames, indices = associate(frame_times, trajectory.times, farthest=max_time)
         if not len(frames):
             raise InputError(
                 f"no pose is within {max_time:.3g} s of a frame: frames are from "
                 f"{frame_times[0]:.3f} to {frame_times[-1]:.3f} s, poses from "
-                f"{given.times[0]:.3f} to {given.times[-1]:.3f} s; give poses with the times "
-                "of the frames, or one pose for each frame in order, without times (KITTI's format)"
+                f"{trajectory.times[0]:.3f} to {trajectory.times[-1]:.3f} s; give poses with the "
+                "times of the frames, or one pose for each frame in order, without times (KITTI's "
+                "format)"
             )
         poses = np.full((len(frame_times), 4, 4), np.nan)
-        poses[frames] = given.poses[indices]
+        poses[frames] = trajectory.poses[indices]
         reason = f"no pose is given within {max_time:.3g} s of it"
     missing = np.flatnonzero(~np.isfinite(poses).all(axis=(1, 2))).tolist()
     return poses, dict.fromkeys(missing, Status("unrelated", reason))
 
 
-def _check_pose_per_frame(given: Trajectory, count: int) -> None:
+def _check_pose_per_frame(trajectory: Trajectory, count: int) -> None:
     """Raise InputError unless there are as many poses as frames."""
-    if given.times is not None and len(given.poses) != count:
+    if trajectory.times is not None and len(trajectory.poses) != count:
         raise InputError(
-            f"poses are {len(given.poses)} with times, but the {count} frames have no times "
+            f"poses are {len(trajectory.poses)} with times, but the {count} frames have no times "
             "that increase: expected one pose for each frame, or times for all frames"
         )
-    check_pose_count(len(given.poses), count)
+    check_pose_count(len(trajectory.poses), count)

@@ -63,7 +63,7 @@ class PathSolver:
     # largest standard deviation of an estimate that replaces the guess, as a share of the focal
     # length
     max_deviation: float = field(default_factory=lambda: MAPPING.max_useful_deviation)
-    # readout time of the shutter, as in `tisfm.Camera`; None if it is estimated
+    # readout time of the shutter, in intervals between frames; None if it is estimated
     readout: float | None = None
     # Whether the focal length is known. With a guess, a path cannot begin where all points lie in
     # one plane.
@@ -199,9 +199,7 @@ class PathSolver:
                     rebuilt_solution.pieces,
                     pinhole,
                 )
-            is_useful = (
-                rebuilt_solution.focal is None or rebuilt_solution.focal.is_useful
-            )  # better than a guess
+            is_useful = rebuilt_solution.focal is None or rebuilt_solution.focal.is_useful
             if rebuilt_solution.score > corrected_solution.score and is_useful:
                 corrected_solution = rebuilt_solution
         if corrected_solution.focal is None:

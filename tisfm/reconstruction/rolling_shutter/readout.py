@@ -279,8 +279,11 @@ class _JointAdjustment:
     def _apply_step(self, steps: np.ndarray, point_steps: np.ndarray) -> None:
         for k, step in enumerate(steps):
             columns = np.vstack([self._rotations[k].T, self._translations[k]])
-            moved = move_by_twist(columns, np.r_[np.zeros(3), step[3:]], np.ones(4))
-            self._rotations[k], self._translations[k] = moved[:3].T, moved[3] + step[:3]
+            moved_columns = move_by_twist(columns, np.r_[np.zeros(3), step[3:]], np.ones(4))
+            self._rotations[k], self._translations[k] = (
+                moved_columns[:3].T,
+                moved_columns[3] + step[:3],
+            )
         self._points += point_steps
 
     def _view_coordinates(self) -> np.ndarray:

@@ -120,7 +120,7 @@ class SlidingPath:
         self._views = ViewSelection(camera, is_focal_known=is_focal_fixed)
         self._last_frame: tuple[np.ndarray, np.ndarray | None]
         self._shape = (0, 0)
-        self._fixed: dict[int, dict[int, np.ndarray]] = {}  # fixed poses, by piece and frame
+        self._fixed_poses: dict[int, dict[int, np.ndarray]] = {}  # fixed poses, by piece and frame
         self._piece_count = 0
 
     def add(
@@ -195,7 +195,7 @@ class SlidingPath:
         return SlidingSolution(
             pieces=dict(zip(pieces, solution.pieces, strict=True)),
             fixed_poses={
-                frame: pose for poses in self._fixed.values() for frame, pose in poses.items()
+                frame: pose for poses in self._fixed_poses.values() for frame, pose in poses.items()
             },
             missing=solver.find_missing(solution),
         )
@@ -203,11 +203,13 @@ class SlidingPath:
     def _continue_pieces(self) -> tuple[dict[int, Piece], list[int]]:
         """Return the pieces with fixed poses, continued, and the indices of the other views."""
         frames = [view.frame for view in self._views.views]
-        fixed_frames = {frame for poses in self._fixed.values() for frame in poses}
+        fixed_frames = {frame for poses in self._fixed_poses.values() for frame in poses}
         free_views = [k for k, frame in enumerate(frames) if frame not in fixed_frames]
         pieces: dict[int, Piece] = {}
-        for number in sorted(self._fixed, key=lambda piece_number: -max(self._fixed[piece_number])):
-            fixed_poses = self._fixed[number]
+        for number in sorted(
+            self._fixed_poses, key=lambda piece_number: -max(self._fixed_poses[piece_number])
+        ):
+            fixed_poses = self._fixed_poses[number]
             fixed_views = [k for k, frame in enumerate(frames) if frame in fixed_poses]
             graph = self._view_graph(sorted(fixed_views + free_views))
             model = continue_model(*graph, self.camera, self._shape, fixed_poses)
@@ -228,13 +230,13 @@ class SlidingPath:
             fixed_poses.update(
                 {frame: piece.poses[frame] for frame in later[: max(0, missing_count)]}
             )
-            self._fixed[number] = fixed_poses
+            self._fixed_poses[number] = fixed_poses
             self._piece_count = max(self._piece_count, number + 1)
 
     @property
     def pieces(self) -> set[int]:
         """The pieces that can be continued."""
-        return set(self._fixed)
+        return set(self._fixed_poses)
 
     def drop_before(self, first: int, *, keyframes: set[int]) -> list[int]:
         """Drop the frames before a frame, except keyframes; return the dropped frames."""
@@ -255,12 +257,12 @@ class SlidingPath:
         self._corrected_views = {
             frame: view for frame, view in self._corrected_views.items() if frame in view_frames
         }
-        for number, fixed_poses in list(self._fixed.items()):
-            self._fixed[number] = {
+        for number, fixed_poses in list(self._fixed_poses.items()):
+            self._fixed_poses[number] = {
                 frame: pose for frame, pose in fixed_poses.items() if frame in recent
             }
             if sum(frame in fixed_poses for frame in view_frames) < 2:
-                del self._fixed[number]
+                del self._fixed_poses[number]
         return dropped
 
     def _view_graph(

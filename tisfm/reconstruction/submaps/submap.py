@@ -75,7 +75,7 @@ class SubmapBuilder:
     ) -> None:
         self._views, self._matches, self._spans = views, matches, spans
         self._camera, self._shape, self._group_size = camera, shape, group_size
-        self._focal_known = is_focal_known
+        self._is_focal_known = is_focal_known
         self._cross_span_numbers = _find_cross_span_points(matches, spans)
 
     def build_submaps(self) -> list[Submap]:
@@ -119,7 +119,9 @@ class SubmapBuilder:
             for (earlier, later), indices in self._matches.items()
             if earlier in index_of and later in index_of
         }
-        graph = ViewGraph.from_views(views, matches, self._shape, is_focal_known=self._focal_known)
+        graph = ViewGraph.from_views(
+            views, matches, self._shape, is_focal_known=self._is_focal_known
+        )
         if poses is None:
             reconstructions = graph.grow_models(self._camera)
         else:

@@ -48,7 +48,7 @@ class SequenceTracker:
     ) -> None:
         self._tracker = Tracker(camera, TRACKING_SETTINGS, cells)
         self._observations = DiskCache(Observations.to_arrays, Observations.from_arrays)
-        self._with_views = selects_views
+        self._selects_views = selects_views
         self._views = ViewSelection(camera, is_focal_known=is_focal_known, on_disk=True)
         # Views with less motion between them: they are used if `_views` has few views.
         self._close_views: ViewSelection | None = ViewSelection(
@@ -66,7 +66,7 @@ class SequenceTracker:
         """Track points into the next frame."""
         frame = len(self._observations)
         observations = self._tracker.track(grey, ignored, flow)
-        if self._with_views:
+        if self._selects_views:
             longer_side = max(grey.shape)
             if self._views.needs_view(observations, longer_side):
                 self._views.add(frame, grey, observations, ignored)
@@ -91,7 +91,7 @@ class SequenceTracker:
         grey, ignored = self._last_frame
         selection = self._views if self._close_views is None else self._close_views
         distinct_count = len(selection.views)
-        if self._with_views:
+        if self._selects_views:
             last = len(self._observations) - 1
             if not selection.views or selection.views[-1].frame != last:
                 selection.add(last, grey, self._observations[last], ignored)

@@ -34,13 +34,13 @@ class TrackSettings:
     # the same bound as a share of the frame's longer side; the larger bound is used
     max_return_share: float = 0.5 / 640
     patch_side: int = 7  # px: side of the patches that are compared along a track
-    # grey levels: mean absolute difference of two patches, after each loses its mean
+    # grey levels: mean absolute difference of two patches, after the mean of each was subtracted
     max_patch_difference: float = 12.0
     # px: side of the window in which Lucas and Kanade's search compares frames
     search_window: int = 11
     search_rounds: int = 10  # iterations of this search
     search_tolerance: float = 0.01  # px: a smaller step ends this search
-    # OpenCV's minEigThreshold: points with less structure count as lost
+    # OpenCV's minEigThreshold: the search fails at points with less structure
     min_search_structure: float = 1e-5
     # px: distance of the search result from the position that the flow predicts; a farther patch
     # shows another point

@@ -223,6 +223,8 @@ def _sample_patches(grey: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return the patches around points, (N, TRACKS.patch_side²) float32."""
     offsets = np.arange(TRACKS.patch_side, dtype=np.float32) - TRACKS.patch_side // 2
     dx, dy = (grid.ravel() for grid in np.meshgrid(offsets, offsets))
-    x, y = (points[:, k, None].astype(np.float32) + d for k, d in enumerate((dx, dy)))
+    x, y = (
+        points[:, axis, None].astype(np.float32) + offset for axis, offset in enumerate((dx, dy))
+    )
     patches = cv2.remap(grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return patches.reshape(len(points), -1).astype(np.float32)

@@ -57,7 +57,7 @@ class ViewSelection:
         )
         # by pair of view indices: (N, 2) int32, the indices of their detected points that match
         self.matches: dict[tuple[int, int], np.ndarray] = {}
-        self._camera, self._focal_known = camera, is_focal_known
+        self._camera, self._is_focal_known = camera, is_focal_known
         self._descriptors: list[ImageDescriptors] | DiskCache[ImageDescriptors] = (
             DiskCache(ImageDescriptors.to_arrays, ImageDescriptors.from_arrays) if on_disk else []
         )
@@ -66,7 +66,7 @@ class ViewSelection:
 
     def set_camera(self, camera: Camera) -> None:
         """Use a camera with a known focal length for later matches."""
-        self._camera, self._focal_known = camera, True
+        self._camera, self._is_focal_known = camera, True
 
     def needs_view(
         self,
@@ -181,7 +181,7 @@ class ViewSelection:
         height, width = shape
         threshold = TRACKS.epipolar_tolerance * max(height, width) / 640
         try:
-            if self._focal_known:
+            if self._is_focal_known:
                 cx, cy = self._camera.center_for(height, width)
                 focal = self._camera.focal
                 _, is_inlier = cv2.findEssentialMat(
