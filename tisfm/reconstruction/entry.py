@@ -73,9 +73,9 @@ def reconstruct(
         camera is given, else ``"focal"``: the focal length, with the principal point in the centre.
         ``"radial"`` also finds one coefficient of the lens, k1, and removes its distortion. If a
         camera is given with ``"focal"`` or ``"radial"``, its focal length is a guess. Its
-        distortion displaces pixels in the same way with every estimated focal length. `Reconstruction.calibration` tells how
-        reliable the estimate is. If poses are given without a camera, the focal length is guessed
-        from the first image file or the size of the frames.
+        distortion displaces pixels in the same way with every estimated focal length.
+        `Reconstruction.calibration` tells how reliable the estimate is. If poses are given without
+        a camera, the focal length is guessed from the first image file or the size of the frames.
     settings : Settings, optional
         By default the preset ``"balanced"`` with ``motion="camera"``: moving objects are outliers,
         and ignored where their motion does not fit the static scene. With ``motion="objects"``,

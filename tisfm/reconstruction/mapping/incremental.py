@@ -171,7 +171,7 @@ class _FirstPairs:
         return float(np.mean(has_parallax)) if has_parallax else 0.0
 
     def _rank(self) -> list[tuple[int, int]]:
-        """Return pairs that share many points with parallax, the best first."""
+        """Return the pairs with enough matches and parallax, in decreasing order of both."""
         weights = {}
         for pair, (before, after) in self._pairs.items():
             if len(before) >= 2 * MAPPING.min_observations:
@@ -185,8 +185,8 @@ class _FirstPairs:
     def _has_parallax(self, motion: np.ndarray, first: int, second: int) -> bool:
         """Return whether a motion, (3, 4), explains directions much better than simpler motions.
 
-        The required ratios exceed 1: a motion with a free depth for each point also fits noise
-        better.
+        The required ratios exceed 1, because a motion with a free depth for each point fits noise
+        better, too.
         """
         before, after = self._pairs[first, second]
         epipolar_angle = float(np.median(epipolar_angles(np.eye(4)[:3], motion, before, after)))
@@ -209,7 +209,7 @@ def _build_model(
     it explains all views well, or if a model from another first pair gets the same score. Otherwise
     the model with the best score is returned.
     """
-    best, best_score, used_views, is_accepted = None, 0.0, list[int](), False
+    best_model, best_score, used_views, is_accepted = None, 0.0, list[int](), False
     min_score = MAPPING.min_mean_score * scorer.match_count(remaining)
     for pair in first_pairs.candidates(mapper, options, remaining, used_views):
         used_views += pair[:2]
@@ -231,10 +231,10 @@ def _build_model(
                 or abs(total_score - best_score) < MAPPING.max_score_difference * best_score
             )
             if is_consistent or total_score > best_score:
-                best, best_score = model, total_score
+                best_model, best_score = model, total_score
         if is_accepted or len(used_views) >= 2 * MAPPING.max_first_pair_models:
             break
-    return best
+    return best_model
 
 
 def _add_views(
@@ -247,7 +247,7 @@ def _add_views(
     def adjust_all(
         rounds: int,
         limits: tuple[int, float],  # largest number of steps, and tolerance
-        outlier_pixels: float = MAPPING.outlier_pixels,
+        outlier_pixels: float = MAPPING.outlier_pixels,  # px
     ) -> tuple[int, int]:
         """Adjust all views; return the numbers of views and of points."""
         mapper.iterative_global_refinement(
@@ -294,6 +294,7 @@ def _add_views(
 
 
 def _mapper_options(calibrate: Calibrate) -> Any:
+    """Return pycolmap's options of incremental mapping, with one thread and fixed seeds."""
     options = pycolmap().IncrementalPipelineOptions()
     options.ba_refine_focal_length = calibrate != "nothing"
     options.ba_refine_extra_params = calibrate == "radial"
@@ -307,10 +308,10 @@ def _mapper_options(calibrate: Calibrate) -> Any:
         MAPPING.min_triangulation_angle
     )
     options.mapper.init_max_forward_motion = 1.0  # the triangulation angle decides instead
-    for part in (options, options.mapper):
-        part.num_threads = 1
-    for part in (options, options.mapper, options.triangulation):
-        part.random_seed = 0
+    for part_options in (options, options.mapper):
+        part_options.num_threads = 1
+    for part_options in (options, options.mapper, options.triangulation):
+        part_options.random_seed = 0
     return options
 
 

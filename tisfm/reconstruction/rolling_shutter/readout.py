@@ -64,14 +64,14 @@ def estimate_readout(
     start: float = 0.0,  # start value of the readout time
 ) -> ReadoutEstimate | None:  # None if views share too few points
     """Estimate the readout time of a camera."""
-    numbers = [k for k, view in enumerate(views) if view.frame in rates]
-    if len(numbers) < ROLLING_SHUTTER.min_views:
+    view_indices = [k for k, view in enumerate(views) if view.frame in rates]
+    if len(view_indices) < ROLLING_SHUTTER.min_views:
         return None
-    numbers = _select_rotating_views(numbers, views, rates)
-    observations = _collect_observations(views, matches, numbers)
+    view_indices = _select_rotating_views(view_indices, views, rates)
+    observations = _collect_observations(views, matches, view_indices)
     if not len(observations.view):
         return None
-    frames = [views[k].frame for k in numbers]
+    frames = [views[k].frame for k in view_indices]
     adjustment = _JointAdjustment(
         observations,
         np.linalg.inv(np.array([poses[frame] for frame in frames])),
@@ -90,25 +90,27 @@ def estimate_readout(
 
 
 def _select_rotating_views(
-    numbers: list[int], views: Sequence[View], rates: Mapping[int, np.ndarray]
+    view_indices: list[int], views: Sequence[View], rates: Mapping[int, np.ndarray]
 ) -> list[int]:
     """Return consecutive views, as many as allowed, in which the camera rotates most."""
     count = ROLLING_SHUTTER.max_views
-    if len(numbers) <= count:
-        return numbers
+    if len(view_indices) <= count:
+        return view_indices
     cumulative_rotation = np.cumsum(
-        [0.0, *(np.linalg.norm(rates[views[k].frame][3:]) for k in numbers)]
+        [0.0, *(np.linalg.norm(rates[views[k].frame][3:]) for k in view_indices)]
     )
     first = int(np.argmax(cumulative_rotation[count:] - cumulative_rotation[:-count]))
-    return numbers[first : first + count]
+    return view_indices[first : first + count]
 
 
 def _collect_observations(
-    views: Sequence[View], matches: Mapping[tuple[int, int], np.ndarray], numbers: Sequence[int]
+    views: Sequence[View],
+    matches: Mapping[tuple[int, int], np.ndarray],
+    view_indices: Sequence[int],
 ) -> _ViewObservations:
     """Return the observations of the tracks and matched points that most views see."""
-    position_of_view = {number: k for k, number in enumerate(numbers)}
-    begins = np.cumsum([0, *(len(views[number].detected) for number in numbers)])
+    position_of_view = {number: k for k, number in enumerate(view_indices)}
+    begins = np.cumsum([0, *(len(views[number].detected) for number in view_indices)])
     pairs = [
         indices + np.array([begins[position_of_view[first]], begins[position_of_view[second]]])
         for (first, second), indices in matches.items()
@@ -120,12 +122,15 @@ def _collect_observations(
         (np.ones(len(point_pairs)), (point_pairs[:, 0], point_pairs[:, 1])), (count, count)
     )
     _, group = sparse.csgraph.connected_components(graph, directed=False)
-    view_of_detected = np.repeat(np.arange(len(numbers)), np.diff(begins))
-    tracks = [views[number].observations.tracks for number in numbers]
-    view = np.r_[np.repeat(np.arange(len(numbers)), list(map(len, tracks))), view_of_detected]
+    view_of_detected = np.repeat(np.arange(len(view_indices)), np.diff(begins))
+    tracks = [views[number].observations.tracks for number in view_indices]
+    view = np.r_[np.repeat(np.arange(len(view_indices)), list(map(len, tracks))), view_of_detected]
     point = np.r_[np.concatenate(tracks), -1 - group]
     position = np.vstack(
-        [*(views[k].observations.points for k in numbers), *(views[k].detected for k in numbers)]
+        [
+            *(views[k].observations.points for k in view_indices),
+            *(views[k].detected for k in view_indices),
+        ]
     )
     if not len(view):
         return _ViewObservations(view=view, point=point, position=position)
@@ -133,10 +138,10 @@ def _collect_observations(
         view=view, point=np.unique(point, return_inverse=True)[1], position=position
     )
     # A point with two observations in one view comes from a wrong match.
-    pair_counts = np.unique(
-        all_observations.point * len(numbers) + all_observations.view, return_counts=True
+    keys_and_counts = np.unique(
+        all_observations.point * len(view_indices) + all_observations.view, return_counts=True
     )
-    wrong_points = np.unique(pair_counts[0][pair_counts[1] > 1] // len(numbers))
+    wrong_points = np.unique(keys_and_counts[0][keys_and_counts[1] > 1] // len(view_indices))
     counts = np.bincount(all_observations.point)
     counts[wrong_points] = 0
     sorted_counts = np.sort(counts)[::-1]
@@ -154,7 +159,7 @@ class _JointAdjustment:
         self,
         observations: _ViewObservations,
         poses: np.ndarray,  # (V, 4, 4) array: world to camera
-        rates: np.ndarray,  # (V, 6) array
+        rates: np.ndarray,  # (V, 6) array: motion per interval between frames
         # camera, shape, readout: as for `estimate_readout`
         camera: Camera,
         shape: tuple[int, int],
@@ -165,8 +170,9 @@ class _JointAdjustment:
         self._rotations, self._translations = poses[:, :3, :3].copy(), poses[:, :3, 3].copy()
         self._focal = camera.focal
         self._positions = observations.position - camera.center_for(*shape)
+        # Time of a row after the middle row, over the readout time
         self._row_delay = (observations.position[:, 1] - (shape[0] - 1) / 2) / shape[0]
-        self._points = self._nearest_to_rays()
+        self._points = self._points_nearest_to_rays()
 
     def step(self, outlier_scale: float) -> None:
         """Make one Gauss–Newton step."""
@@ -187,7 +193,7 @@ class _JointAdjustment:
         Each row of the derivatives and residuals is multiplied by the root of its weight.
         """
         view = self._observations.view
-        local = self._view_coordinates()
+        local = self._points_in_views()
         delay = self.readout * self._row_delay
         velocity = self._rates[view, :3] + np.cross(self._rates[view, 3:], local)
         moved_points = local + delay[:, None] * velocity
@@ -212,11 +218,11 @@ class _JointAdjustment:
 
     def _solve(
         self,
-        by_view: np.ndarray,
-        by_point: np.ndarray,
-        by_camera: np.ndarray,
-        residual: np.ndarray,
-        damping: float,
+        by_view: np.ndarray,  # (N, 2, 6)
+        by_point: np.ndarray,  # (N, 2, 3)
+        by_camera: np.ndarray,  # (N, 2, 2)
+        residual: np.ndarray,  # (N, 2)
+        damping: float,  # share of the diagonal
     ) -> tuple[np.ndarray, np.ndarray, float]:
         """Return the step of poses, readout and log focal, the step of points, and the deviation.
 
@@ -246,9 +252,9 @@ class _JointAdjustment:
         diagonal = np.diag(matrix).copy()
         matrix += np.diag(damping * diagonal + 1e-12 * max(float(diagonal.max()), 1e-12))
         matrix += self._gauge(diagonal)
-        readout = np.zeros(len(vector))
-        readout[-2] = 1
-        solution = np.linalg.solve(matrix, np.stack([-vector, readout], axis=1))
+        readout_axis = np.zeros(len(vector))
+        readout_axis[-2] = 1
+        solution = np.linalg.solve(matrix, np.stack([-vector, readout_axis], axis=1))
         step = solution[:, 0]
         point_steps = -(inverse @ (point_gradient + cross_blocks.T @ step)).reshape(-1, 3)
         degrees_of_freedom = max(1, residual.size - len(vector) - 3 * points)
@@ -286,14 +292,15 @@ class _JointAdjustment:
             )
         self._points += point_steps
 
-    def _view_coordinates(self) -> np.ndarray:
+    def _points_in_views(self) -> np.ndarray:
+        """Return the points of the observations, (N, 3), in the coordinates of their views."""
         view = self._observations.view
         world = self._points[self._observations.point]
         return np.asarray(
             np.einsum("nij,nj->ni", self._rotations[view], world) + self._translations[view]
         )
 
-    def _nearest_to_rays(self) -> np.ndarray:
+    def _points_nearest_to_rays(self) -> np.ndarray:
         """Return the points nearest to the rays of their observations, (P, 3)."""
         view, point = self._observations.view, self._observations.point
         local = np.column_stack([self._positions / self._focal, np.ones(len(view))])

@@ -38,7 +38,7 @@ class ImageDescriptors:
         return cls(points=points, quantised_roots=quantised_roots)
 
     def to_arrays(self) -> tuple[np.ndarray, ...]:
-        """Return the arrays of this object."""
+        """Return the points and the quantised roots."""
         return self.points, self.quantised_roots
 
     def to_features(self) -> Features:
@@ -95,7 +95,9 @@ def find_similar_views(
     threshold = TRACKS.min_similarity * float(
         np.median(np.array(neighbour_similarities, np.float32))
     )
-    return [(earlier, later) for value, earlier, later in candidates if value >= threshold]
+    return [
+        (earlier, later) for similarity, earlier, later in candidates if similarity >= threshold
+    ]
 
 
 def _select_candidates(similarity: np.ndarray, views: Sequence[int], max_view: int) -> list[int]:
@@ -117,12 +119,14 @@ def _select_candidates(similarity: np.ndarray, views: Sequence[int], max_view: i
 
 def _cluster_codebook(descriptors: Sequence[ImageDescriptors], views: Sequence[int]) -> np.ndarray:
     """Return the codebook: the centres of clusters of descriptors, (words, 128) float32."""
-    count = max(1, TRACKS.codebook_sample // len(views))
-    # Evenly spaced descriptors of each view: no random choice, and so no seed.
+    sample_size = max(1, TRACKS.codebook_sample // len(views))
+    # Evenly spaced descriptors of each view: a random choice would need a seed.
     samples = []
     for k in views[:: -(-len(views) // TRACKS.codebook_sample)]:
         roots = descriptors[k].quantised_roots
-        samples.append(roots[np.linspace(0, len(roots) - 1, min(count, len(roots))).astype(int)])
+        samples.append(
+            roots[np.linspace(0, len(roots) - 1, min(sample_size, len(roots))).astype(int)]
+        )
     sample = np.vstack(samples).astype(np.float32)
     centres = sample[np.linspace(0, len(sample) - 1, TRACKS.codebook_size).astype(int)]
     for _ in range(TRACKS.codebook_rounds):

@@ -24,7 +24,7 @@ class Observations:
         return cls(points=points, tracks=tracks)
 
     def to_arrays(self) -> tuple[np.ndarray, ...]:
-        """Return the arrays of this object."""
+        """Return the points and the track numbers."""
         return self.points, self.tracks
 
     def select(self, is_selected: np.ndarray) -> "Observations":

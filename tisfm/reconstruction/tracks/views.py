@@ -35,7 +35,7 @@ class View:
         )
 
     def to_arrays(self) -> tuple[np.ndarray, ...]:
-        """Return the arrays of this object."""
+        """Return the frame number, the arrays of the observations, and the detected points."""
         return np.array(self.frame), *self.observations.to_arrays(), self.detected
 
 
