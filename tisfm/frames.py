@@ -106,10 +106,10 @@ def to_eight_bit(
     first, second = check_frame(frame0, "frame0"), check_frame(frame1, "frame1")
     if first.dtype == np.uint8:
         return first.copy()
-    scaled = first.astype(np.float32, order="C") * np.float32(
+    scaled_frame = first.astype(np.float32, order="C") * np.float32(
         _grey_factor(first, second, scales_unit_range=scales_unit_range)
     )
-    return np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
+    return np.clip(np.rint(scaled_frame), 0, 255).astype(np.uint8)
 
 
 def in_unit_range(frame: np.ndarray) -> bool:

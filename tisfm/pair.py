@@ -154,7 +154,7 @@ def interpret_pair(
         raise InputError(
             f'pose is given, but motion="{settings.motion}" leaves the motion free: leave it out'
         )
-    prepared = prepare_pair(
+    prepared_pair = prepare_pair(
         frame0,
         frame1,
         camera=camera,
@@ -163,7 +163,7 @@ def interpret_pair(
         scales_unit_range=scales_unit_range,
         known_pose=known_pose,
     )
-    pyramid, lens = prepared.pyramid, prepared.lens
+    pyramid, lens = prepared_pair.pyramid, prepared_pair.lens
     from tisfm.motion.camera import camera_estimate
     from tisfm.motion.depth_checks import depth_status, with_brightness_advice
     from tisfm.motion.estimate import history_of
@@ -179,7 +179,7 @@ def interpret_pair(
     elif settings.motion == "camera":
         estimate = camera_estimate(pyramid, settings, known_pose)
     else:
-        estimate = objects_estimate(pyramid, settings, *prepared.greys)
+        estimate = objects_estimate(pyramid, settings, *prepared_pair.greys)
     flow, deviation = estimate.flow, estimate.inverse_depth_std
     if pyramid.contrast == 0:
         estimate.precision[...] = 0  # frame 0 is uniform: the frames show no motion
@@ -215,7 +215,7 @@ def interpret_pair(
             and confirms_large_motion(pyramid, flow, occluded)
         ):
             divergence = diverged_status(flow, is_leaving, is_confirmed=True)
-        status = prepared.overflow or divergence or (status if is_finite else ENERGY_OVERFLOW)
+        status = prepared_pair.overflow or divergence or (status if is_finite else ENERGY_OVERFLOW)
     if status in ("converged", "iteration_limit", "uncertain"):
         if settings.motion == "field":
             status = field_status(pyramid, flow, pixel_confidence) or status
@@ -246,8 +246,8 @@ def interpret_pair(
         occlusion=occluded,
         motions=estimate.motions,
         labels=estimate.labels,
-        frame=prepared.frame,
-        camera=prepared.camera,
+        frame=prepared_pair.frame,
+        camera=prepared_pair.camera,
         settings=settings,
         status=status,
         history=history,
@@ -269,7 +269,7 @@ def store_pair(
 
     `result` is the result of `interpret_pair` for the other arguments.
     """
-    prepared = prepare_pair(
+    prepared_pair = prepare_pair(
         frame0,
         frame1,
         camera=camera,
@@ -278,7 +278,7 @@ def store_pair(
         scales_unit_range=scales_unit_range,
     )
     flow = np.stack(cv2.split(result.flow))
-    _store_pair(window, prepared.pyramid, flow, result.occlusion, result.status)
+    _store_pair(window, prepared_pair.pyramid, flow, result.occlusion, result.status)
 
 
 def _store_pair(

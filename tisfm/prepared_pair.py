@@ -78,10 +78,12 @@ def prepare_pair(
         if lens is not None:
             used_pixels = (np.ones_like(lens.valid),) * 2 if valid is None else valid
             has_data = used_pixels[0] & lens.valid, used_pixels[1] & lens.valid
-        unrolled = global_shutter_pair(grey0, grey1, frame, has_data, camera, settings, known_pose)
-        if unrolled is not None:
-            grey0, grey1, frame = unrolled.grey0, unrolled.grey1, unrolled.frame
-            valid, lens = unrolled.valid, None
+        corrected_pair = global_shutter_pair(
+            grey0, grey1, frame, has_data, camera, settings, known_pose
+        )
+        if corrected_pair is not None:
+            grey0, grey1, frame = corrected_pair.grey0, corrected_pair.grey1, corrected_pair.frame
+            valid, lens = corrected_pair.valid, None
             camera = replace(camera, readout=0.0)
     return PreparedPair(
         pyramid=pyramid_of(grey0, grey1, camera, settings, valid),

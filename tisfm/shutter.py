@@ -92,11 +92,13 @@ def points_at_middle_row(
     center = np.array(camera.center_for(*shape))
     ray = np.column_stack([(points - center) / camera.focal, np.ones(len(points))])
     delay = _delay(points[:, 1], readout, shape)
-    moved = move_by_twist(ray * np.asarray(depth)[:, None], rate, -delay)
-    in_front = moved[:, 2] > MIN_DEPTH
-    corrected = np.array(points, np.float64)
-    corrected[in_front] = moved[in_front, :2] / moved[in_front, 2:] * camera.focal + center
-    return corrected
+    moved_points = move_by_twist(ray * np.asarray(depth)[:, None], rate, -delay)
+    in_front = moved_points[:, 2] > MIN_DEPTH
+    corrected_points = np.array(points, np.float64)
+    corrected_points[in_front] = (
+        moved_points[in_front, :2] / moved_points[in_front, 2:] * camera.focal + center
+    )
+    return corrected_points
 
 
 def move_by_twist(points: np.ndarray, rate: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -140,8 +142,11 @@ class GlobalShutterMap(Resampling):
         sources = targets
         for _ in range(ROW_ITERATIONS):
             delay = _delay(sources[:, 1], readout, shape)
-            moved = move_by_twist(ray * depth[:, None], rate, delay)
-            sources = moved[:, :2] / np.maximum(moved[:, 2:], MIN_DEPTH) * camera.focal + center
+            moved_points = move_by_twist(ray * depth[:, None], rate, delay)
+            sources = (
+                moved_points[:, :2] / np.maximum(moved_points[:, 2:], MIN_DEPTH) * camera.focal
+                + center
+            )
         node_flow = (sources - targets).reshape(nodes_xy.shape).astype(np.float32)
         rows, columns = nodes_xy.shape[:2]
         node_columns = np.linspace(0, columns - 1, width, dtype=np.float32)

@@ -46,21 +46,8 @@ COLOUR_CAMERA_OFFSET = 0.025
 _INTRINSIC_NAMES = ("fx", "fy", "cx", "cy")
 # OpenCV's coefficients of distortion, in OpenCV's order.
 _DISTORTION_NAMES = (
-    "k1",
-    "k2",
-    "p1",
-    "p2",
-    "k3",
-    "k4",
-    "k5",
-    "k6",
-    "s1",
-    "s2",
-    "s3",
-    "s4",
-    "tx",
-    "ty",
-)
+    "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tx", "ty",
+)  # fmt: skip
 _DEPTH_SCALE_NAME = "depth_scale"
 _SINTEL_CAMERA = struct.Struct("<f9d12d")  # tag, intrinsics 3×3, extrinsics 3×4
 

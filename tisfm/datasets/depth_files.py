@@ -16,7 +16,7 @@ from tisfm.formats.image_headers import MAX_IMAGE_PIXELS
 from tisfm.formats.npz import ALLOWED_COMPRESSIONS, DAMAGE_ERRORS
 from tisfm.formats.reading import read_bytes
 
-MILLIMETRES_PER_METRE = 1000.0
+MM_PER_METRE = 1000.0
 """Scale of a depth map in millimetres: file values per metre."""
 
 _VALUES_WITHOUT_DEPTH = (0, 65535)  # file values without a depth
@@ -26,7 +26,7 @@ def read_depth(
     path: str | os.PathLike[str],  # a 16-bit grey image, 0 or 65535 where there is no depth
     # file values per unit of depth. By default the file is in millimetres, the
     # depth in metres.
-    scale: float = MILLIMETRES_PER_METRE,
+    scale: float = MM_PER_METRE,
 ) -> NDArray[np.float32]:  # (H, W) float32 ndarray: depth Z; NaN where there is no depth
     """Read a depth map.
 
@@ -34,14 +34,14 @@ def read_depth(
 
     Raises OSError if the file does not exist or cannot be read.
     """
-    stored = read_image(path)
-    if stored.ndim != 2 or stored.dtype != np.uint16:
+    pixels = read_image(path)
+    if pixels.ndim != 2 or pixels.dtype != np.uint16:
         raise FormatError(
-            f"{os.fspath(path)} holds {stored.shape} {stored.dtype}, expected a depth map, (H, W) "
+            f"{os.fspath(path)} holds {pixels.shape} {pixels.dtype}, expected a depth map, (H, W) "
             "uint16"
         )
-    depth = stored.astype(np.float32) / np.float32(scale)
-    depth[np.isin(stored, _VALUES_WITHOUT_DEPTH)] = np.nan
+    depth = pixels.astype(np.float32) / np.float32(scale)
+    depth[np.isin(pixels, _VALUES_WITHOUT_DEPTH)] = np.nan
     return depth
 
 
@@ -98,14 +98,14 @@ def read_disparity(
     Raises MemoryError if memory does not suffice for the map.
     """
     name = os.fspath(path)
-    stored = _read_array(name) if name.lower().endswith((".npy", ".npz")) else read_image(name)
-    _check_map(name, stored.shape, stored.dtype)
-    if stored.dtype.kind == "f":
-        return np.where(np.isfinite(stored), stored, np.nan).astype(np.float32)
-    disparity = stored.astype(np.float32)
-    if stored.dtype == np.uint16:
+    pixels = _read_array(name) if name.lower().endswith((".npy", ".npz")) else read_image(name)
+    _check_map(name, pixels.shape, pixels.dtype)
+    if pixels.dtype.kind == "f":
+        return np.where(np.isfinite(pixels), pixels, np.nan).astype(np.float32)
+    disparity = pixels.astype(np.float32)
+    if pixels.dtype == np.uint16:
         disparity /= np.float32(_KITTI_STEPS)
-    disparity[stored == 0] = np.nan
+    disparity[pixels == 0] = np.nan
     return disparity
 
 

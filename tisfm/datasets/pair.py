@@ -19,7 +19,7 @@ from tisfm.datasets.calibration import (
     scale_known_camera,
 )
 from tisfm.datasets.depth_files import (
-    MILLIMETRES_PER_METRE,
+    MM_PER_METRE,
     read_depth,
     read_disparity,
     reproject_depth,
@@ -191,7 +191,7 @@ class DatasetPair:
             frame0=frame0,
             frame1=frame1,
             flow=flow,
-            depth=self._read_depth(flow, size, calibration.depth_scale or MILLIMETRES_PER_METRE),
+            depth=self._read_depth(flow, size, calibration.depth_scale or MM_PER_METRE),
             pose=self._read_pose(),
             pose_given=self.truth_format == "disparity",
             occlusion=self._read_occlusion(flow, size),

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.camera import Camera
-from tisfm.datasets.depth_files import MILLIMETRES_PER_METRE, read_depth
+from tisfm.datasets.depth_files import MM_PER_METRE, read_depth
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,7 +45,7 @@ class LoadedSequence:
     camera: Camera | None = None
     times: NDArray[np.float64] | None = None
     depths: tuple[Path | None, ...]
-    depth_scale: float = MILLIMETRES_PER_METRE
+    depth_scale: float = MM_PER_METRE
 
     @property
     def posed(self) -> NDArray[np.bool_]:
@@ -67,11 +67,11 @@ class LoadedSequence:
 
     def take(self, indices: Iterable[int]) -> "LoadedSequence":
         """Return the sequence of some of the frames, in the order of `indices`."""
-        selected = list(indices)
+        selected_indices = list(indices)
         return replace(
             self,
-            frames=tuple(self.frames[index] for index in selected),
-            poses=self.poses[selected],
-            times=None if self.times is None else self.times[selected],
-            depths=tuple(self.depths[index] for index in selected),
+            frames=tuple(self.frames[index] for index in selected_indices),
+            poses=self.poses[selected_indices],
+            times=None if self.times is None else self.times[selected_indices],
+            depths=tuple(self.depths[index] for index in selected_indices),
         )

@@ -20,7 +20,7 @@ from tisfm.datasets.calibration import (
     read_camera,
     scale_known_camera,
 )
-from tisfm.datasets.depth_files import MILLIMETRES_PER_METRE
+from tisfm.datasets.depth_files import MM_PER_METRE
 from tisfm.datasets.pair_layouts import TSUKUBA_POSES, find_files, find_numbered_files
 from tisfm.datasets.pose_files import read_pose, read_poses
 from tisfm.datasets.sequence import LoadedSequence
@@ -84,7 +84,7 @@ def _load_calibrated(folder: Path) -> LoadedSequence:
         poses=poses,
         camera=calibration.camera,
         depths=tuple(depth_maps.get(file.stem) for file in frames),
-        depth_scale=calibration.depth_scale or MILLIMETRES_PER_METRE,
+        depth_scale=calibration.depth_scale or MM_PER_METRE,
     )
 
 

@@ -88,7 +88,9 @@ def compare_masks(
         )
     pairs = _read_label_pairs(folder, files, true_files)
     pairs0, pairs1 = tee(pairs)
-    return label_scores((labels for labels, _ in pairs0), (true for _, true in pairs1))
+    return label_scores(
+        (labels for labels, _ in pairs0), (true_labels for _, true_labels in pairs1)
+    )
 
 
 def _read_label_pairs(
@@ -97,14 +99,18 @@ def _read_label_pairs(
     """Yield labels and true labels of each frame, (H, W), both without distortion."""
     lens = None
     for file, true_file in zip(files, true_files, strict=True):
-        labels, true = read_label_picture(file), read_label_picture(true_file)
-        if (folder / CAMERA).is_file() and labels.shape == true.shape:
-            camera = read_camera(folder, true.shape)
+        labels, true_labels = read_label_picture(file), read_label_picture(true_file)
+        if (folder / CAMERA).is_file() and labels.shape == true_labels.shape:
+            camera = read_camera(folder, true_labels.shape)
             if not camera.is_pinhole:
-                lens = lens or Undistortion(camera, *true.shape)
-                undistorted = np.nan_to_num(lens.apply_nearest(np.float32(true))).astype(true.dtype)
-                labels, true = (np.where(lens.valid, values, 0) for values in (labels, undistorted))
-        yield labels, true
+                lens = lens or Undistortion(camera, *true_labels.shape)
+                undistorted = np.nan_to_num(lens.apply_nearest(np.float32(true_labels))).astype(
+                    true_labels.dtype
+                )
+                labels, true_labels = (
+                    np.where(lens.valid, values, 0) for values in (labels, undistorted)
+                )
+        yield labels, true_labels
 
 
 def find_true_masks(folder: str | os.PathLike[str]) -> Path:

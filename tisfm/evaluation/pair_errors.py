@@ -202,12 +202,12 @@ def _reduce_errors(
     **fixed_values: Any,
 ) -> _Errors:
     """Reduce each error separately over the pairs that have it, except for fixed values."""
-    reduced: dict[str, Any] = {}
+    reduced_errors: dict[str, Any] = {}
     for field in fields(error_class):
         values = [getattr(error, field.name) for error in errors]
         known_values = [value for value in values if value is not None]
-        reduced[field.name] = float(reduce(known_values)) if known_values else None
-    return error_class(**{**reduced, **fixed_values})
+        reduced_errors[field.name] = float(reduce(known_values)) if known_values else None
+    return error_class(**{**reduced_errors, **fixed_values})
 
 
 def _total_scores(scores: Sequence[OcclusionScores | None]) -> OcclusionScores | None:

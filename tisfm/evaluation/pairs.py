@@ -201,11 +201,9 @@ def _evaluate_pair(
     pair: DatasetPair, loaded: LoadedPair, *, camera: Camera, settings: Settings
 ) -> tuple[PairEvaluation, Interpretation]:
     """Interpret one pair and compare it with the truth."""
-    given_pose = loaded.pose if loaded.pose_given and settings.motion == "camera" else None
+    pose = loaded.pose if loaded.pose_given and settings.motion == "camera" else None
     begin = time.perf_counter()
-    result = interpret(
-        loaded.frame0, loaded.frame1, camera=camera, settings=settings, pose=given_pose
-    )
+    result = interpret(loaded.frame0, loaded.frame1, camera=camera, settings=settings, pose=pose)
     seconds = time.perf_counter() - begin
     height, width = loaded.frame0.shape[:2]
     depth = _depth_errors(result, loaded)

@@ -105,9 +105,9 @@ def sequence_depth_errors(
     """
     ratios, best_scales = LogMedian(), dict[int, float | None]()
     for index in range(len(loaded.frames)):
-        true = _true_depth(loaded, index, camera, max_depth)
-        if true is not None:
-            frame_ratios = depth_ratios(result.inverse_depth(index), true)
+        true_depth = _true_depth(loaded, index, camera, max_depth)
+        if true_depth is not None:
+            frame_ratios = depth_ratios(result.inverse_depth(index), true_depth)
             ratios.add(frame_ratios)
             best_scales[index] = float(np.median(frame_ratios)) if len(frame_ratios) else None
     if not best_scales:
@@ -143,12 +143,11 @@ def _compare_frames(
 ) -> list[FrameDepthErrors]:
     """Compare every frame with a true depth; each map is read once."""
     frames: list[FrameDepthErrors] = []
-    next_frame: tuple[int, NDArray, NDArray] | None = (
-        None  # the frame after this one: frames are compared from the last to the first
-    )
+    # Number, inverse depth and true depth of the frame after this one: the last frame comes first.
+    next_frame: tuple[int, NDArray, NDArray] | None = None
     for index in sorted(best_scales, reverse=True):
-        true = _true_depth(loaded, index, camera, max_depth)
-        assert true is not None
+        true_depth = _true_depth(loaded, index, camera, max_depth)
+        assert true_depth is not None
         inverse = result.inverse_depth(index)
         flicker_to_next = None
         if (
@@ -157,38 +156,38 @@ def _compare_frames(
             and loaded.posed[index : index + 2].all()
         ):
             flicker_to_next = flicker(
-                (inverse, true),
+                (inverse, true_depth),
                 next_frame[1:],
                 motion_between(loaded.poses[index], loaded.poses[index + 1]),
                 focal=camera.focal,
-                center=camera.center_for(*true.shape),
+                center=camera.center_for(*true_depth.shape),
                 scale=scale,
             )
         error: float = ERROR_WITHOUT_DEPTH
         certain: float | None = ERROR_WITHOUT_DEPTH
         if best_scales[index] is not None:
-            error = limited_error(inverse, true, scale=scale)
-            certain = _certain_error_or_none(inverse, result.inverse_depth_std(index), true, scale)
+            error = limited_error(inverse, true_depth, scale=scale)
+            certain = _certain_error(inverse, result.inverse_depth_std(index), true_depth, scale)
         frames.append(
             FrameDepthErrors(
                 frame=index,
                 error=error,
                 certain=certain,
-                share=estimated_share(inverse, true),
+                share=estimated_share(inverse, true_depth),
                 scale=best_scales[index],
                 flicker=flicker_to_next,
             )
         )
-        next_frame = index, inverse, true
+        next_frame = index, inverse, true_depth
     return frames[::-1]
 
 
-def _certain_error_or_none(
-    inverse: NDArray, deviation: NDArray, true: NDArray, scale: float
+def _certain_error(
+    inverse: NDArray, deviation: NDArray, true_depth: NDArray, scale: float
 ) -> float | None:
     if not np.isfinite(deviation).any():
         return None
-    return certain_error(inverse, deviation, true, scale=scale)
+    return certain_error(inverse, deviation, true_depth, scale=scale)
 
 
 def _true_depth(

@@ -24,8 +24,8 @@ def choose_depth_scale(depth: ArrayLike) -> float:
 
     Relative depth has no unit, so the scale has to come from the depth itself. With the median
     stored as 2000, one step of the file is 0.05 % of the median, and depths from 1/2000 of the
-    median to 32 times the median fit. Use one scale for all files of a sequence, that of its first
-    pair with a valid depth. Files without valid depth are all zeros at any scale, such as 1.0.
+    median to 32 times the median fit. Use one scale for all files of a sequence: the scale of its
+    first pair with a valid depth. A file without valid depth has only zeros at any scale.
 
     Parameters
     ----------
@@ -97,13 +97,13 @@ def write_depth_png(path: str | os.PathLike[str], depth: ArrayLike, *, scale: fl
         raise InputError(f"depth is {values.shape}, expected (H, W) with some pixels")
     _check_scale(scale)
     with np.errstate(over="ignore", invalid="ignore"):  # infinity is clipped, NaN is not valid
-        scaled = values * scale
-        np.rint(scaled, out=scaled)
-        np.clip(scaled, 1, 65535, out=scaled)
-    np.copyto(scaled, 0, where=~_is_valid(values))
-    stored = scaled.astype(np.uint16)
+        scaled_depth = values * scale
+        np.rint(scaled_depth, out=scaled_depth)
+        np.clip(scaled_depth, 1, 65535, out=scaled_depth)
+    np.copyto(scaled_depth, 0, where=~_is_valid(values))
+    pixels = scaled_depth.astype(np.uint16)
     with atomic_write(path) as file:
-        file.writelines(encode_png(stored, {_SCALE_KEYWORD: repr(float(scale))}))
+        file.writelines(encode_png(pixels, {_SCALE_KEYWORD: repr(float(scale))}))
 
 
 def read_depth_png(
@@ -152,7 +152,7 @@ def read_depth_png(
             picture.load()
             # Older versions of Pillow widen 16-bit grey ("I;16") to 32 bits ("I").
             mode = picture.mode
-            stored = np.asarray(picture)
+            pixels = np.asarray(picture)
             scale_text = picture.info.get(_SCALE_KEYWORD)
     except MemoryError:
         raise
@@ -162,8 +162,8 @@ def read_depth_png(
         raise FormatError(f"{name} is a PNG of mode {mode}, expected 16-bit grey: not a depth file")
     if scale is None:
         scale = _parse_scale(name, scale_text)
-    depth = stored.astype(np.float64) / scale
-    depth[stored == 0] = np.nan
+    depth = pixels.astype(np.float64) / scale
+    depth[pixels == 0] = np.nan
     return depth.astype(np.float32)
 
 

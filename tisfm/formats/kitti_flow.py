@@ -11,9 +11,9 @@ from tisfm.formats.images import read_image, write_png
 from tisfm.formats.reading import FormatError
 
 _ZERO_VALUE = 2**15  # file value of no motion
-_VALUES_PER_PIXEL = 64  # file values per pixel of motion
-_MIN_FLOW = -_ZERO_VALUE / _VALUES_PER_PIXEL  # px
-_MAX_FLOW = (2**16 - 1 - _ZERO_VALUE) / _VALUES_PER_PIXEL  # px
+_VALUES_PER_PX = 64  # file values per pixel of motion
+_MIN_FLOW = -_ZERO_VALUE / _VALUES_PER_PX  # px
+_MAX_FLOW = (2**16 - 1 - _ZERO_VALUE) / _VALUES_PER_PX  # px
 
 
 def read_kitti_flow(path: str | os.PathLike[str]) -> NDArray[np.float32]:
@@ -50,17 +50,17 @@ def read_kitti_flow(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     >>> bool(np.isnan(read_kitti_flow("flow.png")).all())
     True
     """
-    stored = read_image(path)
-    if stored.dtype != np.uint16 or stored.ndim != 3:
-        channels = 1 if stored.ndim == 2 else stored.shape[2]
+    pixels = read_image(path)
+    if pixels.dtype != np.uint16 or pixels.ndim != 3:
+        channels = 1 if pixels.ndim == 2 else pixels.shape[2]
         raise FormatError(
-            f"{os.fspath(path)} is a picture of {channels} x {stored.dtype}, expected 3 x uint16: "
+            f"{os.fspath(path)} is a picture of {channels} x {pixels.dtype}, expected 3 x uint16: "
             "not a KITTI flow file"
         )
-    flow = (stored[..., :2].astype(np.float32) - np.float32(_ZERO_VALUE)) / np.float32(
-        _VALUES_PER_PIXEL
+    flow = (pixels[..., :2].astype(np.float32) - np.float32(_ZERO_VALUE)) / np.float32(
+        _VALUES_PER_PX
     )
-    flow[stored[..., 2] == 0] = np.nan
+    flow[pixels[..., 2] == 0] = np.nan
     return flow
 
 
@@ -98,7 +98,7 @@ def write_kitti_flow(path: str | os.PathLike[str], flow: ArrayLike) -> None:
         raise InputError(f"flow is {values.shape}, expected (H, W, 2) with some pixels")
     valid = ~np.isnan(values).any(axis=2)
     valid_flow = values[valid]
-    levels = np.rint(valid_flow * _VALUES_PER_PIXEL) + _ZERO_VALUE
+    levels = np.rint(valid_flow * _VALUES_PER_PX) + _ZERO_VALUE
     is_outside = (levels < 0) | (levels >= 2**16)
     if is_outside.any():
         raise InputError(
@@ -106,7 +106,7 @@ def write_kitti_flow(path: str | os.PathLike[str], flow: ArrayLike) -> None:
             f"{np.count_nonzero(is_outside.any(axis=1))} pixels, for instance "
             f"{valid_flow[is_outside][0]:g}: set unknown flow to NaN, or write a .flo file"
         )
-    stored = np.zeros((*valid.shape, 3), np.uint16)
-    stored[valid, :2] = levels
-    stored[valid, 2] = 1
-    write_png(path, stored)
+    pixels = np.zeros((*valid.shape, 3), np.uint16)
+    pixels[valid, :2] = levels
+    pixels[valid, 2] = 1
+    write_png(path, pixels)

@@ -27,12 +27,10 @@ def extract_surface(field: DistanceField, agreeing: int) -> Surface:
     and no view sees between them.
     """
     vertices, edges, faces = [np.empty((0, 3))], [np.empty(0, np.int64)], [np.empty((0, 3), int)]
-    surface_blocks = np.flatnonzero(((field.distance < 0) & (field.views >= agreeing)).any(axis=1))
+    indices = np.flatnonzero(((field.distance < 0) & (field.views >= agreeing)).any(axis=1))
     # A cell belongs to the block of its lowest voxel.
     offsets = np.array(list(np.ndindex(2, 2, 2)))
-    neighbour_numbers = block_numbers(
-        block_coordinates(field.numbers[surface_blocks])[:, None] - offsets
-    )
+    neighbour_numbers = block_numbers(block_coordinates(field.numbers[indices])[:, None] - offsets)
     owners = np.intersect1d(field.numbers, neighbour_numbers)
     vertex_count = 0
     for first in range(0, len(owners), _BATCH_SIDE**3):
@@ -42,11 +40,11 @@ def extract_surface(field: DistanceField, agreeing: int) -> Surface:
         faces.append(batch[2] + vertex_count)
         vertex_count += len(batch[0])
     # Adjacent blocks have the same vertices on the edges that they share.
-    _, first_indices, vertex_numbers = np.unique(
+    _, first_indices, numbers = np.unique(
         np.concatenate(edges), return_index=True, return_inverse=True
     )
-    joined_faces = vertex_numbers.ravel()[np.concatenate(faces)].reshape(-1, 3)
-    return np.concatenate(vertices)[first_indices] * field.voxel, joined_faces.astype(np.int32)
+    merged_faces = numbers.ravel()[np.concatenate(faces)].reshape(-1, 3)
+    return np.concatenate(vertices)[first_indices] * field.voxel, merged_faces.astype(np.int32)
 
 
 def _extract_batch(

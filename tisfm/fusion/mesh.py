@@ -122,8 +122,8 @@ def fused_mesh(
     # for no bound
     max_depth: float | None = 5.0,
     # Edge of a voxel, in the unit of the poses. By default the largest of 2 px at the median depth,
-    # half the median deviation of depth, and the edge with which the field fills 1 GB; the result
-    # tells the edge.
+    # half the median deviation of depth, and the edge with which the field fills 1 GB;
+    # `Mesh.voxel` is the edge.
     voxel: float | None = None,
     # Greatest distance from the surface in the field, in the unit of the poses. Objects must be
     # thicker. By default the larger of 4 voxels and 3 median deviations of depth.

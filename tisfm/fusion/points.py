@@ -23,30 +23,26 @@ def choose_neighbours(
 ) -> list[int]:
     """Return other views that see the same surface as a view, the most similar ones first.
 
-    Of the similar views (difference up to `SIMILAR_DIFFERENCE`), `count` are chosen evenly from
-    the most to the least similar one: neighbours in time alone may share the same errors. If there
-    are fewer, the views up to `MAX_DIFFERENCE` follow.
+    Of the similar views (difference up to `SIMILAR_DIFFERENCE`), `count` are chosen, evenly from
+    the most to the least similar view, because neighbours in time may share the same errors. If
+    fewer views are similar, the views up to `MAX_DIFFERENCE` follow.
     """
     difference = _differences(summaries[n], summaries)
     difference[n] = math.inf
-    sorted_views = np.argsort(difference, kind="stable")
-    usable_count = min(count, np.count_nonzero(difference <= MAX_DIFFERENCE))
-    similar_views = sorted_views[
-        : max(usable_count, np.count_nonzero(difference <= SIMILAR_DIFFERENCE))
-    ]
-    indices = (
-        np.linspace(0, len(similar_views) - 1, min(count, len(similar_views))).round().astype(int)
-    )
-    return [int(similar_views[k]) for k in indices]
+    order = np.argsort(difference, kind="stable")
+    min_count = min(count, np.count_nonzero(difference <= MAX_DIFFERENCE))
+    views = order[: max(min_count, np.count_nonzero(difference <= SIMILAR_DIFFERENCE))]
+    indices = np.linspace(0, len(views) - 1, min(count, len(views))).round().astype(int)
+    return [int(views[k]) for k in indices]
 
 
 def _differences(view: ViewSummary, summaries: Sequence[ViewSummary]) -> Floats:
     """Return the differences of all views from a view, (N,).
 
-    They compare the views of one point, on the optical axis of the view at its median depth. Each
-    is a sum of three terms: the angle between the point and the optical axis of the other view, as
-    a share of its field; the angle between the two rays to the point, rad; and the absolute
-    logarithm of the ratio of the distances.
+    The point on the optical axis of the view, at its median depth, is compared in all views. Each
+    difference is a sum of three terms: the angle between the point and the optical axis of the
+    other view, as a share of its field angle; the angle between the two rays to the point, rad; and
+    the absolute logarithm of the ratio of the distances.
     """
     axis = view.pose[:3, 2]
     poses = np.array([other.pose for other in summaries])

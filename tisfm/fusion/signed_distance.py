@@ -17,7 +17,7 @@ _MAX_PIXEL_STEP = 8  # px between sampled pixels, for large blocks
 _RAY_STEP = 4.0  # voxels between the sampled points of a ray
 _MAX_RAY_SAMPLES = 101  # sampled points of a ray
 _BITS = 17  # bits of a block coordinate, so that a voxel coordinate has 20
-_COORDINATE_OFFSET = 2 ** (_BITS - 1)
+_OFFSET = 2 ** (_BITS - 1)  # added to a block coordinate: the sum is not negative
 
 Blocks = NDArray[np.int64]
 """Block numbers: three coordinates of `_BITS` bits each."""
@@ -49,15 +49,12 @@ class DistanceField:
 def block_coordinates(numbers: Blocks) -> NDArray[np.int64]:
     """Return the coordinates of blocks, (N, 3), in blocks from the world's origin."""
     mask = 2**_BITS - 1
-    return (
-        np.stack([(numbers >> (shift * _BITS)) & mask for shift in (2, 1, 0)], axis=1)
-        - _COORDINATE_OFFSET
-    )
+    return np.stack([(numbers >> (shift * _BITS)) & mask for shift in (2, 1, 0)], axis=1) - _OFFSET
 
 
 def block_numbers(blocks: NDArray[np.int64]) -> Blocks:
     """Return the numbers of blocks at the coordinates (…, 3)."""
-    x, y, z = np.moveaxis(blocks + _COORDINATE_OFFSET, -1, 0)
+    x, y, z = np.moveaxis(blocks + _OFFSET, -1, 0)
     return (((x << _BITS) | y) << _BITS) | z
 
 
@@ -87,7 +84,7 @@ def integrate_views(
 def _select_blocks(views: PosedViews, voxel: float, truncation: float, agreeing: int) -> Blocks:
     """Return the numbers of the blocks near the surfaces of enough views, ascending.
 
-    Blocks near errors of single views would be many more.
+    Errors of single views would add many more blocks.
     """
     numbers, count = np.empty(0, np.int64), np.empty(0, np.int32)
     for view, summary in zip(views, views.summaries, strict=True):
@@ -121,12 +118,9 @@ def _find_near_blocks(view: PosedDepth, max_z: float, voxel: float, truncation: 
     low, high = _view_bounds(view, max_z + truncation, 2 * voxel)
     first_block = np.floor(low / edge)
     extent = np.floor(high / edge) - first_block + 1
-    if (
-        np.abs([first_block, first_block + extent]).max() >= _COORDINATE_OFFSET - 1
-        or extent.prod() >= 2**31
-    ):
+    if np.abs([first_block, first_block + extent]).max() >= _OFFSET - 1 or extent.prod() >= 2**31:
         count_factor = np.cbrt(extent.prod() / 2**31)
-        range_factor = np.abs([first_block, first_block + extent]).max() / (_COORDINATE_OFFSET - 1)
+        range_factor = np.abs([first_block, first_block + extent]).max() / (_OFFSET - 1)
         raise VoxelTooSmallError(1.01 * max(count_factor, range_factor))
     samples = 1 + 2 * int(np.ceil(truncation / (_RAY_STEP * voxel)))
     if samples > _MAX_RAY_SAMPLES:

@@ -1,8 +1,8 @@
 """Errors of flow, depth, occlusion, pose, trajectory, labels and standard deviation.
 
-They are defined as in the usual benchmarks. Pixels with unknown ground truth never count: it is
-unknown where it is not finite, or above 1e9 in magnitude (the convention of Middlebury). Masked
-arrays are refused if a value is masked. Sums are float64 for any input.
+They are defined as in the usual benchmarks. Pixels without ground truth are not compared: their
+true value is not finite, or above 1e9 in magnitude (the convention of Middlebury). Masked arrays
+are refused if a value is masked. Sums are float64 for any input.
 
 May import: of the top level `checks` and `rigid`.
 """

@@ -102,17 +102,17 @@ def depth_errors(
     >>> round(errors.abs_rel, 6), round(errors.scale, 6)
     (0.0, 2.0)
     """
-    d, true, has_both, has_truth, scale = _align_depths(depth, truth, mask, align)
-    known_truth = true[has_truth]
+    d, d_true, has_both, has_truth, scale = _align_depths(depth, truth, mask, align)
+    known_truth = d_true[has_truth]
     min_depth, max_depth = MIN_DEPTH_RATIO * known_truth.min(), MAX_DEPTH_RATIO * known_truth.max()
     limited = np.where(has_both, d, max_depth)[has_truth].clip(min_depth, max_depth)
-    d, true = d[has_both], true[has_both]
-    log_ratio = np.log(d) - np.log(true)
-    ratio = np.maximum(d / true, true / d)
+    d, d_true = d[has_both], d_true[has_both]
+    log_ratio = np.log(d) - np.log(d_true)
+    ratio = np.maximum(d / d_true, d_true / d)
     delta1, delta2, delta3 = (float((ratio < 1.25**power).mean()) for power in (1, 2, 3))
     return DepthErrors(
-        abs_rel=float((np.abs(d - true) / true).mean()),
-        rmse=float(np.sqrt(np.square(d - true).mean())),
+        abs_rel=float((np.abs(d - d_true) / d_true).mean()),
+        rmse=float(np.sqrt(np.square(d - d_true).mean())),
         rmse_log=float(np.sqrt(np.square(log_ratio).mean())),
         delta1=delta1,
         delta2=delta2,
@@ -153,9 +153,9 @@ def depth_error_map(
     >>> depth_error_map(truth * 1.25, truth, align=None).tolist()
     [[0.25, 0.25], [0.25, 0.25]]
     """
-    d, true, has_both, _, _ = _align_depths(depth, truth, mask, align)
+    d, d_true, has_both, _, _ = _align_depths(depth, truth, mask, align)
     error = np.full(has_both.shape, np.nan)
-    error[has_both] = np.abs(d[has_both] - true[has_both]) / true[has_both]
+    error[has_both] = np.abs(d[has_both] - d_true[has_both]) / d_true[has_both]
     return error
 
 
@@ -170,19 +170,20 @@ def _align_depths(
     if align not in ("median", None):
         raise InputError(f"align is {align!r}: expected 'median' or None")
     estimate = check_unmasked(depth, "depth", np.float64)
-    true = check_unmasked(truth, "truth", np.float64)
-    if estimate.shape != true.shape or true.ndim != 2:
+    d_true = check_unmasked(truth, "truth", np.float64)
+    if estimate.shape != d_true.shape or d_true.ndim != 2:
         raise InputError(
-            f"depth is {estimate.shape} and truth is {true.shape}: expected the same shape, (H, W)"
+            f"depth is {estimate.shape} and truth is {d_true.shape}: expected the same shape, "
+            "(H, W)"
         )
-    has_truth = is_known(true) & (true > 0) & compared_pixels(mask, true.shape)
+    has_truth = is_known(d_true) & (d_true > 0) & compared_pixels(mask, d_true.shape)
     if not has_truth.any():
-        raise InputError(f"no pixel of the {true.shape} truth is known, positive and in the mask")
+        raise InputError(f"no pixel of the {d_true.shape} truth is known, positive and in the mask")
     has_both = has_truth & np.isfinite(estimate) & (estimate > 0)
     if not has_both.any():
         raise InputError(
             f"no pixel of the {estimate.shape} depth is finite and positive where the truth is "
             f"known: {np.count_nonzero(has_truth)} pixels are"
         )
-    scale = 1.0 if align is None else float(np.median(true[has_both] / estimate[has_both]))
-    return estimate * scale, true, has_both, has_truth, scale
+    scale = 1.0 if align is None else float(np.median(d_true[has_both] / estimate[has_both]))
+    return estimate * scale, d_true, has_both, has_truth, scale

@@ -45,16 +45,16 @@ def limited_error(inverse_depth: ArrayLike, truth: ArrayLike, *, scale: float = 
     >>> limited_error(1 / (1.25 * truth), truth)
     0.25
     """
-    inverse, true, has_truth = _check_maps(inverse_depth, truth)
-    inverse, true = inverse[has_truth], true[has_truth]
+    inverse, true_depth, has_truth = _check_maps(inverse_depth, truth)
+    inverse, true_depth = inverse[has_truth], true_depth[has_truth]
     has_estimate = _has_estimate(inverse)
     if not has_estimate.any():
         return 1.0
-    max_depth = MAX_DEPTH_RATIO * true.max()
-    depth = np.full(len(true), max_depth)
+    max_depth = MAX_DEPTH_RATIO * true_depth.max()
+    depth = np.full(len(true_depth), max_depth)
     depth[has_estimate] = scale / inverse[has_estimate]
-    depth = depth.clip(MIN_DEPTH_RATIO * true.min(), max_depth)
-    return float((np.abs(depth - true) / true).mean())
+    depth = depth.clip(MIN_DEPTH_RATIO * true_depth.min(), max_depth)
+    return float((np.abs(depth - true_depth) / true_depth).mean())
 
 
 def certain_error(
@@ -98,22 +98,27 @@ def certain_error(
     >>> certain_error(inverse_depth, deviation, truth, share=0.5)
     0.0
     """
-    inverse, true, has_truth = _check_maps(inverse_depth, truth)
+    inverse, true_depth, has_truth = _check_maps(inverse_depth, truth)
     sigma = check_unmasked(deviation, "deviation", np.float64)
     if sigma.shape != has_truth.shape:
         raise InputError(
             f"deviation is {sigma.shape} and inverse_depth is {has_truth.shape}: expected the same "
             "shape"
         )
-    inverse, sigma, true = inverse[has_truth], sigma[has_truth], true[has_truth]
+    inverse, sigma, true_depth = inverse[has_truth], sigma[has_truth], true_depth[has_truth]
     has_deviation = _has_estimate(inverse) & np.isfinite(sigma)
-    relative_deviation, error = np.full(len(true), np.inf), np.full(len(true), MAX_ERROR)
+    relative_deviation, error = (
+        np.full(len(true_depth), np.inf),
+        np.full(len(true_depth), MAX_ERROR),
+    )
     relative_deviation[has_deviation] = sigma[has_deviation] / inverse[has_deviation]
     has_estimate = _has_estimate(inverse)
     error[has_estimate] = (
-        np.abs(scale / inverse[has_estimate] - true[has_estimate]) / true[has_estimate]
+        np.abs(scale / inverse[has_estimate] - true_depth[has_estimate]) / true_depth[has_estimate]
     )
-    most_certain = np.argsort(relative_deviation, kind="stable")[: max(1, round(share * len(true)))]
+    most_certain = np.argsort(relative_deviation, kind="stable")[
+        : max(1, round(share * len(true_depth)))
+    ]
     return float(np.minimum(error[most_certain], MAX_ERROR).mean())
 
 
@@ -167,7 +172,7 @@ def flicker(
     >>> round(flicker(first, second, motion, focal=16.0, center=(7.5, 5.5)), 6)
     0.1
     """
-    (inverse0, true0, known0), (inverse1, true1, known1) = (
+    (inverse0, true_depth0, known0), (inverse1, true_depth1, known1) = (
         _check_maps(*first),
         _check_maps(*second),
     )
@@ -177,7 +182,7 @@ def flicker(
             "same size"
         )
     rows, columns = np.nonzero(known0 & _has_estimate(inverse0))
-    z = true0[rows, columns]
+    z = true_depth0[rows, columns]
     rays = np.stack([(columns - center[0]) / focal, (rows - center[1]) / focal, np.ones(len(z))])
     matrix = np.asarray(motion, np.float64)
     points = matrix[:3, :3] @ (rays * z) + matrix[:3, 3:]
@@ -191,20 +196,23 @@ def flicker(
     target = y[is_inside].astype(np.intp), x[is_inside].astype(np.intp)
     is_same = known1[target] & _has_estimate(inverse1[target])
     is_same &= (
-        np.abs(np.where(is_same, true1[target], np.inf) - depth) <= MAX_DEPTH_DIFFERENCE * depth
+        np.abs(np.where(is_same, true_depth1[target], np.inf) - depth)
+        <= MAX_DEPTH_DIFFERENCE * depth
     )
     if not is_same.any():
         return None
-    before = inverse0[rows[is_same], columns[is_same]] * true0[rows[is_same], columns[is_same]]
-    after = inverse1[target][is_same] * true1[target][is_same]
+    before = (
+        inverse0[rows[is_same], columns[is_same]] * true_depth0[rows[is_same], columns[is_same]]
+    )
+    after = inverse1[target][is_same] * true_depth1[target][is_same]
     return float(np.abs(after - before).mean() / scale)
 
 
 def depth_ratios(inverse_depth: ArrayLike, truth: ArrayLike) -> NDArray[np.float64]:
     """Return the ratios d* / d, (K,), of the pixels with known truth and an estimate."""
-    inverse, true, has_truth = _check_maps(inverse_depth, truth)
+    inverse, true_depth, has_truth = _check_maps(inverse_depth, truth)
     is_compared = has_truth & _has_estimate(inverse)
-    return np.asarray(true[is_compared] * inverse[is_compared])
+    return np.asarray(true_depth[is_compared] * inverse[is_compared])
 
 
 def estimated_share(inverse_depth: ArrayLike, truth: ArrayLike) -> float:
@@ -216,16 +224,16 @@ def estimated_share(inverse_depth: ArrayLike, truth: ArrayLike) -> float:
 def _check_maps(inverse_depth: ArrayLike, truth: ArrayLike) -> tuple[NDArray, NDArray, NDArray]:
     """Return inverse depth and truth as float64, and where the truth is known."""
     inverse = check_unmasked(inverse_depth, "inverse_depth", np.float64)
-    true = check_unmasked(truth, "truth", np.float64)
-    if inverse.shape != true.shape or true.ndim != 2:
+    true_depth = check_unmasked(truth, "truth", np.float64)
+    if inverse.shape != true_depth.shape or true_depth.ndim != 2:
         raise InputError(
-            f"inverse_depth is {inverse.shape} and truth is {true.shape}: expected the same shape, "
-            "(H, W)"
+            f"inverse_depth is {inverse.shape} and truth is {true_depth.shape}: expected the same "
+            "shape, (H, W)"
         )
-    has_truth = is_known(true) & (true > 0)
+    has_truth = is_known(true_depth) & (true_depth > 0)
     if not has_truth.any():
-        raise InputError(f"no pixel of the {true.shape} truth is known and positive")
-    return inverse, true, has_truth
+        raise InputError(f"no pixel of the {true_depth.shape} truth is known and positive")
+    return inverse, true_depth, has_truth
 
 
 def _has_estimate(inverse: NDArray) -> NDArray[np.bool_]:

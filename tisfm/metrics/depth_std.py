@@ -66,9 +66,9 @@ def error_in_deviations(
     """
     estimate = check_unmasked(inverse_depth, "inverse_depth", np.float64)
     deviation = check_unmasked(inverse_depth_std, "inverse_depth_std", np.float64)
-    true = check_unmasked(truth, "truth", np.float64)
-    is_compared = np.isfinite(true) & (true > 0)
-    shapes = {"inverse_depth_std": deviation.shape, "truth": true.shape}
+    true_depth = check_unmasked(truth, "truth", np.float64)
+    is_compared = np.isfinite(true_depth) & (true_depth > 0)
+    shapes = {"inverse_depth_std": deviation.shape, "truth": true_depth.shape}
     if mask is not None:
         shapes["mask"] = np.shape(mask)
     for name, shape in shapes.items():
@@ -78,13 +78,13 @@ def error_in_deviations(
             )
     if mask is not None:
         is_compared &= check_mask(mask, "mask")
-    ratio = estimate[is_compared] * true[is_compared]
+    ratio = estimate[is_compared] * true_depth[is_compared]
     if not (ratio > 0).any():
         raise InputError(
             f"no pixel of the {estimate.shape} inverse depth is positive where the truth is known "
             "and the mask allows: nothing can be compared"
         )
-    error = np.abs(estimate[is_compared] - np.median(ratio[ratio > 0]) / true[is_compared])
+    error = np.abs(estimate[is_compared] - np.median(ratio[ratio > 0]) / true_depth[is_compared])
     with np.errstate(divide="ignore", invalid="ignore"):
         error_ratio = error / deviation[is_compared]
     error_ratio[(error == 0) & (deviation[is_compared] == 0)] = 0.0

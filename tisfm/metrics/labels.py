@@ -22,15 +22,16 @@ class ObjectScores:
     object_id : int
         Value of the object in the true masks.
     label : int or None
-        Label that is assigned to the object for the whole sequence; None if no remaining label
-        ever overlaps it.
+        Label that is assigned to the object for the whole sequence; None if no label
+        overlaps it, or these labels are assigned to other objects.
     iou : float
         Mean over frames of the intersection over union of object and label, in [0, 1]; 0 without a
         label.
     frames : int
         Number of frames in that mean, in which the object or its label has pixels.
     present, followed : int
-        Frames in which the object has pixels, and in how many of these a label follows it.
+        Number of frames in which the object has pixels, and number of these in which a label
+        follows it.
     switches : int
         Changes of the label that follows the object.
 

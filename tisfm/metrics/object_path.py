@@ -107,7 +107,7 @@ def object_path_errors(
     >>> errors.frames, round(errors.share, 6), round(errors.rotation, 3)
     (5, 0.0, 0.0)
     """
-    estimated, true, camera, true_camera = (
+    estimated_poses, true_poses, camera, true_camera = (
         check_poses(values, name)
         for values, name in (
             (poses, "poses"),
@@ -116,25 +116,27 @@ def object_path_errors(
             (true_cameras, "true_cameras"),
         )
     )
-    shapes = [path.shape for path in (estimated, true, camera, true_camera)]
+    shapes = [path.shape for path in (estimated_poses, true_poses, camera, true_camera)]
     if len(set(shapes)) > 1:
-        numbers = ", ".join(str(len(path)) for path in (estimated, true, camera, true_camera))
+        numbers = ", ".join(
+            str(len(path)) for path in (estimated_poses, true_poses, camera, true_camera)
+        )
         raise InputError(
             f"poses, truth, cameras and true_cameras are of {numbers} frames: expected the "
             "same number"
         )
     has_cameras = _has_pose(camera) & _has_pose(true_camera)
-    has_all = has_cameras & _has_pose(estimated) & _has_pose(true)
+    has_all = has_cameras & _has_pose(estimated_poses) & _has_pose(true_poses)
     if has_all.sum() < MIN_FRAMES:
         return None
     world = _align_world(camera[has_cameras], true_camera[has_cameras])
-    length = path_length(true[has_all])
+    length = path_length(true_poses[has_all])
     centre = world.apply(camera[has_all, :3, 3])
-    from_camera = world.apply(estimated[has_all, :3, 3]) - centre
-    rotations, positions = true[has_all, :3, :3], true[has_all, :3, 3]
+    from_camera = world.apply(estimated_poses[has_all, :3, 3]) - centre
+    rotations, positions = true_poses[has_all, :3, :3], true_poses[has_all, :3, 3]
     scale, offset = _fit_scale_and_offset(centre, from_camera, rotations, positions)
     residual = centre + scale * from_camera - rotations @ offset - positions
-    axes = world.rotation @ estimated[has_all, :3, :3]
+    axes = world.rotation @ estimated_poses[has_all, :3, :3]
     axes_rotation = nearest_rotation((rotations.transpose(0, 2, 1) @ axes).sum(axis=0))
     angles = rotation_angles((rotations @ axes_rotation).transpose(0, 2, 1) @ axes)
     position = float(np.sqrt(np.square(residual).sum(axis=1).mean()))

@@ -92,16 +92,17 @@ def occlusion_scores(
     >>> scores.precision, scores.recall
     (1.0, 0.5)
     """
-    estimated, true = check_mask(occlusion, "occlusion"), check_mask(truth, "truth")
-    if estimated.shape != true.shape or estimated.ndim != 2:
+    is_marked, is_occluded = check_mask(occlusion, "occlusion"), check_mask(truth, "truth")
+    if is_marked.shape != is_occluded.shape or is_marked.ndim != 2:
         raise InputError(
-            f"occlusion is {estimated.shape} and truth is {true.shape}: both must be (H, W)"
+            f"occlusion is {is_marked.shape} and truth is {is_occluded.shape}: both must be (H, W)"
         )
-    is_compared = compared_pixels(mask, estimated.shape)
+    is_compared = compared_pixels(mask, is_marked.shape)
     if not is_compared.any():
         raise InputError("no pixel counts: the mask is zero everywhere")
     hits, marked, occluded = (
-        int((pixels & is_compared).sum()) for pixels in (estimated & true, estimated, true)
+        int((pixels & is_compared).sum())
+        for pixels in (is_marked & is_occluded, is_marked, is_occluded)
     )
     return OcclusionScores.from_counts(
         hits=hits, marked=marked, occluded=occluded, pixels=int(is_compared.sum())

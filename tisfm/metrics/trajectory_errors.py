@@ -174,9 +174,9 @@ def absolute_errors(poses: ArrayLike, truth: ArrayLike) -> AbsoluteErrors:
     >>> round(errors.similarity, 6), round(errors.scale, 6)
     (0.0, 2.0)
     """
-    estimated, true = _check_both(poses, truth)
-    has_both = _has_pose(estimated) & _has_pose(true)
-    centres, true_centres = estimated[has_both, :3, 3], true[has_both, :3, 3]
+    estimated_poses, true_poses = _check_both(poses, truth)
+    has_both = _has_pose(estimated_poses) & _has_pose(true_poses)
+    centres, true_centres = estimated_poses[has_both, :3, 3], true_poses[has_both, :3, 3]
     similarity, rigid = align(centres, true_centres), align(centres, true_centres, with_scale=False)
     return AbsoluteErrors(
         poses=int(has_both.sum()),
@@ -225,9 +225,9 @@ def relative_errors(
     0.1
     """
     check_whole_numbers(1, step=step)
-    estimated, true = _check_both(poses, truth)
-    first = np.arange(max(0, len(estimated) - step))
-    residuals = _residual_motions(estimated, true, first, first + step, scale)
+    estimated_poses, true_poses = _check_both(poses, truth)
+    first = np.arange(max(0, len(estimated_poses) - step))
+    residuals = _residual_motions(estimated_poses, true_poses, first, first + step, scale)
     if not len(residuals):
         return None
     return RelativeErrors(
@@ -255,8 +255,8 @@ def drift(
     lengths : sequence of float, optional
         Lengths of the segments, in the unit of the truth. By default KITTI's 100, 200, …, 800 m for
         a path longer than 100 m, else 10, 20, …, 80 % of the path. Errors are divided by these
-        lengths, as in the benchmark; only for the shares of a path, whose segments may have few
-        frames, by the true length from the first frame of a segment to the last.
+        lengths, as in the benchmark. By default on a path up to 100 m, whose segments may have few
+        frames, they are divided by the true length from the first frame of a segment to the last.
     every : int, optional
         Frames between the starts of segments; by default KITTI's 10, or 1 for a path up to 100 m.
     scale : float, default 1
@@ -289,9 +289,9 @@ def drift(
     >>> round(drift(estimated, truth).translation, 6)  # a tenth of the length
     0.1
     """
-    estimated, true = _check_both(poses, truth)
-    known = np.flatnonzero(_has_pose(true))
-    distances = _distances_along(true[known])
+    estimated_poses, true_poses = _check_both(poses, truth)
+    known = np.flatnonzero(_has_pose(true_poses))
+    distances = _distances_along(true_poses[known])
     is_short = distances[-1] <= KITTI_LENGTHS[0]
     uses_shares = lengths is None and is_short
     if lengths is None:
@@ -306,9 +306,11 @@ def drift(
     for length in lengths:
         ends = np.searchsorted(distances, distances[starts] + length, side="right")
         first, last = starts[ends < len(known)], ends[ends < len(known)]
-        has_both_ends = _has_pose(estimated)[known[first]] & _has_pose(estimated)[known[last]]
+        has_both_ends = (
+            _has_pose(estimated_poses)[known[first]] & _has_pose(estimated_poses)[known[last]]
+        )
         first, last = first[has_both_ends], last[has_both_ends]
-        residuals = _residual_motions(estimated, true, known[first], known[last], scale)
+        residuals = _residual_motions(estimated_poses, true_poses, known[first], known[last], scale)
         divisor = distances[last] - distances[first] if uses_shares else np.full(len(last), length)
         translations.append(np.linalg.norm(residuals[:, :3, 3], axis=1) / divisor)
         rotations.append(rotation_angles(residuals) / divisor)
@@ -323,15 +325,17 @@ def drift(
 
 
 def _residual_motions(
-    estimated: NDArray, true: NDArray, first: NDArray, second: NDArray, scale: float
+    estimated_poses: NDArray, true_poses: NDArray, first: NDArray, second: NDArray, scale: float
 ) -> NDArray[np.float64]:
     """Return (true motion)⁻¹ · motion, (K, 4, 4), of the pairs with all poses."""
-    has_both = _has_pose(estimated) & _has_pose(true)
+    has_both = _has_pose(estimated_poses) & _has_pose(true_poses)
     is_complete = has_both[first] & has_both[second]
     first, second = first[is_complete], second[is_complete]
-    scaled = estimated.copy()
-    scaled[:, :3, 3] *= scale
-    motion, true_motion = (np.linalg.solve(path[first], path[second]) for path in (scaled, true))
+    scaled_poses = estimated_poses.copy()
+    scaled_poses[:, :3, 3] *= scale
+    motion, true_motion = (
+        np.linalg.solve(path[first], path[second]) for path in (scaled_poses, true_poses)
+    )
     return np.linalg.solve(true_motion, motion)
 
 
@@ -349,18 +353,18 @@ def _distances_along(poses: NDArray) -> NDArray[np.float64]:
 
 
 def _check_both(poses: ArrayLike, truth: ArrayLike) -> tuple[NDArray, NDArray]:
-    estimated, true = check_poses(poses, "poses"), check_poses(truth, "truth")
-    if estimated.shape != true.shape:
+    estimate, reference = check_poses(poses, "poses"), check_poses(truth, "truth")
+    if estimate.shape != reference.shape:
         raise InputError(
-            f"poses are {estimated.shape} and truth is {true.shape}: expected the same number"
+            f"poses are {estimate.shape} and truth is {reference.shape}: expected the same number"
         )
-    if not (_has_pose(estimated) & _has_pose(true)).any():
+    if not (_has_pose(estimate) & _has_pose(reference)).any():
         raise InputError(
-            f"no frame has both an estimated and a true pose: of {len(estimated)} frames, "
-            f"{_has_pose(estimated).sum()} have an estimated and {_has_pose(true).sum()} a true "
-            "one; check that both lists are of the same frames"
+            f"no frame has both an estimated and a true pose: of {len(estimate)} frames, "
+            f"{_has_pose(estimate).sum()} have an estimated and "
+            f"{_has_pose(reference).sum()} a true one; check that both lists have the same frames"
         )
-    return estimated, true
+    return estimate, reference
 
 
 def check_poses(values: ArrayLike, name: str) -> NDArray[np.float64]:

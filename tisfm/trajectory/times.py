@@ -114,15 +114,13 @@ def associate(
 
 def _nearest_indices(times: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.intp]:
     """Return the index in `others` nearest to each time; of two equally near ones the earlier."""
-    later_index = (
-        np.searchsorted(others, times).clip(1, len(others) - 1) if len(others) > 1 else None
-    )
-    if later_index is None:
+    later = np.searchsorted(others, times).clip(1, len(others) - 1) if len(others) > 1 else None
+    if later is None:
         return np.zeros(len(times), np.intp)
     return np.asarray(
         np.where(
-            times - others[later_index - 1] <= others[later_index] - times,
-            later_index - 1,
-            later_index,
+            times - others[later - 1] <= others[later] - times,
+            later - 1,
+            later,
         )
     )

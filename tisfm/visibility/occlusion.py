@@ -17,7 +17,7 @@ MAX_DENSITY = 1.23  # pixels of frame 0 per pixel of frame 1 above which some of
 # for two pixels, a relative motion of 0.14 px/frame. Pixels with the same motion belong to one
 # surface that became smaller, so none of them is hidden.
 MIN_FLOW_DIFFERENCE = 0.07
-# px beyond the border: the flow of a background at rest is off by less than this
+# px beyond the border that count as inside: flow of a static background has smaller errors
 BORDER_MARGIN = 0.05
 RESIDUAL_WINDOW = 3  # px: side of the window over which residuals are averaged
 _FIVE_TAP = np.array([[1, -8, 0, 8, -1]], np.float32) / 12
