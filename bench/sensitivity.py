@@ -1,8 +1,9 @@
-"""``python -m bench.sensitivity NAME …``: change of the errors if a setting is halved or doubled.
+"""``python -m bench.sensitivity [NAME …]``: change of the errors if a setting is halved or doubled.
 
-NAME is the settings object of a stage, such as ``tisfm.reconstruction.tracks.settings.TRACKS``.
-Its numbers are changed one at a time. Inputs are rendered scenes and, if a folder of real sequences
-is named, real pairs and sequences. The table is left in bench/results.
+NAME is the settings object of a stage, such as ``tisfm.reconstruction.tracks.settings.TRACKS``; by
+default, all stages are measured. Their numbers are changed one at a time. Inputs are rendered
+scenes and, if a folder of real sequences is named, real pairs and sequences. The tables are left in
+bench/results.
 """
 
 import importlib
@@ -38,6 +39,32 @@ CHUNK = 12  # frames of a chunk of the rendered film in chunks, of 24 frames
 Figures = dict[str, float]
 Changes = dict[str, float] | str  # % by figure, empty for the same bits; or the message of an error
 Row = tuple[str, float, list[Changes]]  # setting, value, and changes for each factor
+Group = tuple[Sequence[str], Sequence[Row], Figures]  # settings objects, their rows, and the base
+MOTION, RECONSTRUCTION = "tisfm.motion", "tisfm.reconstruction"
+STAGES = {  # settings objects by the inputs that reach them
+    ("camera", "pairs"): [f"{MOTION}.settings.{name}" for name in ("EGOMOTION", "DEPTH", "SPARSE")],
+    ("flow", "objects"): [f"{MOTION}.settings.PROPOSALS"],
+    ("checks",): [f"{MOTION}.settings.CHECKS"],
+    ("window",): [f"{MOTION}.settings.PREVIOUS"],
+    ("objects",): [f"{MOTION}.objects.settings.OBJECTS"],
+    ("film",): [
+        f"{RECONSTRUCTION}.{name}"
+        for name in (
+            "tracks.settings.TRACKS",
+            "mapping.settings.MAPPING",
+            "geometry.settings.GEOMETRY",
+            "frames.settings.FRAME_FLOW",
+            "depth.settings.DEPTH",
+        )
+    ],
+    ("lens",): [f"{RECONSTRUCTION}.calibration.settings.CALIBRATION"],
+    ("shutter",): [f"{RECONSTRUCTION}.rolling_shutter.settings.ROLLING_SHUTTER"],
+    ("chunks",): [
+        f"{RECONSTRUCTION}.chunks.settings.CHUNKING",
+        f"{RECONSTRUCTION}.submaps.settings.SUBMAPS",
+    ],
+    ("bodies",): [f"{RECONSTRUCTION}.objects.settings.OBJECTS"],
+}
 
 
 def settings_of(path: str) -> Any:
@@ -345,8 +372,8 @@ def largest(changes: Changes) -> tuple[float, str]:
     return size, f"{changes[key]:+.2g} ({key})"
 
 
-def report(rows: Sequence[Row], base: Figures) -> str:
-    """Return the report: settings by their largest change, then those without any change."""
+def section(names: Sequence[str], rows: Sequence[Row], base: Figures) -> tuple[str, str, Table]:
+    """Return heading, note and table of a group: settings by their largest change."""
     ranked = sorted(rows, key=lambda row: -max(largest(changes)[0] for changes in row[2]))
     cells = [
         [name, f"{number:g}", *(largest(change)[1] for change in changes)]
@@ -357,37 +384,68 @@ def report(rows: Sequence[Row], base: Figures) -> str:
     same = [name for name, _, changes in rows if not any(changes)]
     figures = ", ".join(f"{key} {value:.4g}" for key, value in base.items())
     note = (
-        "Largest change of a figure if one number is halved or doubled, in %, and the figure. "
-        f"Unchanged: {figures}. {len(same)} of {len(rows)} numbers leave the same bits: "
-        f"{', '.join(same) or 'none'}."
+        f"Unchanged settings: {figures}. {len(same)} of {len(rows)} numbers leave these figures "
+        f"the same: {', '.join(same) or 'none'}."
     )
-    return markdown_page("# Sensitivity to settings", machine(), note, table)
+    return f"## {', '.join(names)}", note, table
+
+
+def report(groups: Sequence[Group]) -> str:
+    """Return the report, with a section for each group."""
+    note = (
+        "Largest change of a figure if one number of a settings object is halved or doubled, in %, "
+        "and the figure. `nan`: no path, or no depth. Each section has the settings of a stage, "
+        "and begins with the figures of its inputs."
+    )
+    blocks = (block for group in groups for block in section(*group))
+    return markdown_page("# Sensitivity to settings", machine(), note, *blocks)
+
+
+def plan(names: Sequence[str], inputs_: Sequence[str]) -> list[tuple[tuple[str, ...], list[str]]]:
+    """Return (inputs, settings objects) of the groups that are measured together."""
+    if inputs_:
+        return [(tuple(inputs_), list(names))]
+    chosen = [
+        (group, [name for name in stages if name in (names or stages)])
+        for group, stages in STAGES.items()
+    ]
+    planned = [(group, stages) for group, stages in chosen if stages]
+    others = [name for name in names if all(name not in stages for _, stages in planned)]
+    return planned + ([(INPUTS, others)] if others else [])
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Measure, print and write the table; return 0, or 2 if there are no such settings."""
+    """Measure, print and write the tables; return 0, or 2 if there are no such settings."""
     from bench.shared.command import options_parser
     from bench.shared.sequences import data_folder
 
     parser = options_parser("sensitivity", __doc__, "data", "smoke", "output")
-    parser.add_argument("names", nargs="+", metavar="NAME", help="settings objects")
-    parser.add_argument("--inputs", nargs="+", choices=INPUTS, default=INPUTS)
+    parser.add_argument(
+        "names", nargs="*", metavar="NAME", help="settings objects; default: all stages"
+    )
+    parser.add_argument(
+        "--inputs", nargs="+", choices=INPUTS, default=(), help="default: those of each stage"
+    )
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     options = parser.parse_args(arguments)
     data = None if options.smoke else data_folder(options.data)
-    try:
-        cases = [(path, *key) for path in options.names for key in numbers_of(settings_of(path))]
-    except (AttributeError, ImportError, TypeError) as error:
-        print(f"bench.sensitivity: {error}", file=sys.stderr)
-        return 2
-    chosen, rows = tuple(options.inputs), []
-    with ProcessPoolExecutor(options.jobs, multiprocessing.get_context("spawn")) as pool:
-        base = pool.submit(unchanged, chosen, data)
-        for row in pool.map(partial(row_of, chosen=chosen, data=data), cases):
-            print(row[0], f"{row[1]:g}", *(largest(c)[1] for c in row[2]), sep=" | ", flush=True)
-            rows.append(row)
-    record = {"base": base.result(), "rows": rows}
-    write_results(RESULTS / (options.output or "sensitivity"), report(rows, base.result()), record)
+    groups: list[Group] = []
+    for chosen, paths in plan(options.names, options.inputs):
+        try:
+            cases = [(path, *key) for path in paths for key in numbers_of(settings_of(path))]
+        except (AttributeError, ImportError, TypeError) as error:
+            print(f"bench.sensitivity: {error}", file=sys.stderr)
+            return 2
+        rows = []
+        with ProcessPoolExecutor(options.jobs, multiprocessing.get_context("spawn")) as pool:
+            base = pool.submit(unchanged, chosen, data)
+            for row in pool.map(partial(row_of, chosen=chosen, data=data), cases):
+                print(
+                    row[0], f"{row[1]:g}", *(largest(c)[1] for c in row[2]), sep=" | ", flush=True
+                )
+                rows.append(row)
+        groups.append((paths, rows, base.result()))
+    write_results(RESULTS / (options.output or "sensitivity"), report(groups), groups)
     return 0
 
 

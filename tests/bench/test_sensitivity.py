@@ -57,8 +57,8 @@ def test_rows_and_report(monkeypatch):
     assert rows["SETTINGS.spans[0]"][2] == [{}, {}]
     assert rows["SETTINGS.ratio"][2] == [{}, "ValueError: no path"]
     assert sensitivity.largest(rows["SETTINGS.ratio"][2][1])[0] == math.inf
-    text = sensitivity.report(list(rows.values()), measured((), None))
-    assert "1 of 4 numbers leave the same bits: SETTINGS.spans[0]" in text
+    text = sensitivity.report([([PATH], list(rows.values()), measured((), None))])
+    assert "1 of 4 numbers leave these figures the same: SETTINGS.spans[0]" in text
     lines = [line for line in text.splitlines() if line.startswith("| SETTINGS")]
     assert [line.split()[1] for line in lines] == [
         "SETTINGS.ratio",
@@ -71,3 +71,16 @@ def test_rows_and_report(monkeypatch):
 def test_unknown_settings_are_refused(capsys):
     assert sensitivity.main(["tisfm.reconstruction.NOTHING", "--smoke"]) == 2
     assert "NOTHING" in capsys.readouterr().err
+
+
+def test_stages_are_grouped_by_the_inputs_that_reach_them():
+    everything = sensitivity.plan([], ())
+    assert dict(everything) == sensitivity.STAGES
+    stage = sensitivity.STAGES["film",][0]
+    assert sensitivity.plan([stage, PATH], ()) == [
+        (("film",), [stage]),
+        (sensitivity.INPUTS, [PATH]),
+    ]
+    assert sensitivity.plan([PATH], ("flow",)) == [(("flow",), [PATH])]
+    for stages in sensitivity.STAGES.values():
+        assert all(sensitivity.numbers_of(sensitivity.settings_of(name)) for name in stages)
