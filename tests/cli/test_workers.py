@@ -180,7 +180,7 @@ def make_chunk(folder, **changes):
         end=COUNT - 1,
         arch=None,
         threads=None,
-        listing=Listing.of([Path(f"f{k:02d}.png") for k in range(COUNT)]),
+        listing=Listing.from_files([Path(f"f{k:02d}.png") for k in range(COUNT)]),
         presence=folder / "alive",
     )
     return Chunk(**{**about, **changes})

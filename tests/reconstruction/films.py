@@ -6,7 +6,7 @@ from tests.rendered import room_film, shared
 from tisfm.camera import Camera
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import Box, Film, Scene, Texture, bodies_path
-from tisfm.scenes.room import FOCAL, expose, room_objects, wavelength_at
+from tisfm.scenes.room import FOCAL, add_blur_and_noise, room_objects, wavelength_at
 
 STEP = np.array((0.12, 0.0, 0.05, 0.0, 0.012, 0.0))  # of the camera in a frame: m and rad
 
@@ -53,7 +53,7 @@ def board_film(count=10, height=120, width=160, *, with_board=True):
         objects = [*room, board] if with_board else room
         scene = Scene(objects=objects, camera=camera, height=height, width=width)
         frame, far, labels = scene.render_view_with_labels(pose, samples=2)
-        frames.append(expose(frame, random, 1.5, 0.0, "uint8"))
+        frames.append(add_blur_and_noise(frame, random, 1.5, 0.0, "uint8"))
         depth.append(far)
         seen.append(labels >= len(room))
     film = Film(frames=np.stack(frames), depth=np.stack(depth), poses=path, camera=camera)

@@ -128,7 +128,7 @@ def test_a_source_with_masks_can_be_read_again(folder, masks):
 
 @pytest.mark.parametrize("mask", [3, None.__class__, 2.5], ids=repr)
 def test_wrong_masks_are_refused(mask):
-    with pytest.raises(TypeError, match=r"mask is .*expected a picture, an array, or one for"):
+    with pytest.raises(TypeError, match=r"mask is .*expected a picture or an array, or one for"):
         FrameSource(FRAMES, mask=mask)
 
 

@@ -59,7 +59,7 @@ def two_blocks(
     samples: int = 3,
     dtype: str = "uint8",
 ) -> SyntheticPair:
-    """Render two blocks that move on their own, each in translation, before a moving camera.
+    """Render two blocks that move on their own, each in translation, in front of a moving camera.
 
     The scene imitates the Marbled-block sequence of the paper's section 6. Both blocks move along
     the floor and to the left, the larger one away from the camera, the smaller one towards it. At
@@ -126,7 +126,7 @@ def three_blocks(
     samples: int = 3,
     dtype: str = "uint8",
 ) -> SyntheticPair:
-    """Render three blocks that move on their own, each in translation, before a moving camera.
+    """Render three blocks that move on their own, each in translation, in front of a moving camera.
 
     One block moves away and to the right, one to the left and down. The small block in front comes
     closer.
@@ -183,7 +183,7 @@ def static_scene(
     ----------
     kind : {"sideways", "forward", "sideways+rotation", "forward+rotation"}
         Motion of the camera: V along its X or Z axis, without or with rotation about all three
-        axes. At the default size displacements are a couple of px; they scale with the size.
+        axes. At the default size displacements are a few px; they scale with the size.
     height, width, seed, focal, detail
         As in `two_blocks`.
     samples, dtype
@@ -224,7 +224,7 @@ def bare_patches(
     samples: int = 3,
     dtype: str = "uint8",
 ) -> SyntheticPair:
-    """Render a block before a wall, both with large parts of a single grey level.
+    """Render a block in front of a wall, both with large parts of a single grey level.
 
     Motion is visible only around such a bare part. The paper of Sekkati and Mitiche leaves this
     case open (its remark (a)). One bare part is surrounded by texture of the wall. A bare part of

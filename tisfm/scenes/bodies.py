@@ -16,10 +16,10 @@ from .render import Scene
 from .room import (
     FOCAL,
     Film,
+    add_blur_and_noise,
     check_film,
     check_readout,
     detail_for,
-    expose,
     render_rolling_shutter,
     room_objects,
     wavelength_at,
@@ -202,7 +202,7 @@ def bodies_film(
             frame = render_rolling_shutter(partial(scene_at, k), path, k, readout, samples)
         else:
             frame = scene.render_frame(pose, samples=samples)
-        frames[k] = expose(frame, random, noise, 0.0, "uint8")
+        frames[k] = add_blur_and_noise(frame, random, noise, 0.0, "uint8")
         labels[k] = np.maximum(scene_labels - len(static_objects) + 1, 0)
     return BodiesFilm(
         frames=frames,

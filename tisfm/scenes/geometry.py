@@ -66,6 +66,9 @@ class Plane:
         object.__setattr__(self, "normal", normal / np.linalg.norm(normal))
         _freeze(self, point=(3,), normal=(3,), motion=(6,))
 
+    # Arguments of the methods below are in object coordinates, with the origin at the point `point`
+    # and the third axis along the normal: points and rays, (3, n); the camera position, (3,).
+    # Footprints, (n,), are the size of a pixel at the points, length.
     def _pose(self) -> tuple[Floats, Floats]:
         return self._axes, self.point
 
@@ -82,8 +85,8 @@ class Plane:
     def _corners(self) -> None:
         """A plane has no corners."""
 
-    def _hit_depth(self, origin: Floats, ray: Floats) -> Floats:
-        depth = -origin[2] / ray[2]
+    def _hit_depth(self, camera_position: Floats, ray: Floats) -> Floats:
+        depth = -camera_position[2] / ray[2]
         return np.where((depth > 0) & (depth < MAX_PLANE_DEPTH), depth, np.inf)
 
     def _grey(self, points: Floats, ray: Floats, footprint: Floats) -> NDArray:
@@ -143,6 +146,8 @@ class Box:
         if not np.allclose(gram, np.eye(3), atol=1e-9) or np.linalg.det(self.axes) < 0:
             raise InputError(f"axes is {self.axes.tolist()}: expected a rotation matrix")
 
+    # Arguments of the methods below are in object coordinates, along the box's axes from its
+    # centre: points and rays, (3, n); the camera position, (3,). Footprints as for `Plane`.
     def _pose(self) -> tuple[Floats, Floats]:
         return self.axes, self.center
 
@@ -151,10 +156,12 @@ class Box:
         """The corners, (3, 8), relative to the centre, in the box's own axes."""
         return _CORNER_SIGNS * (self.size / 2)[:, None]
 
-    def _hit_depth(self, origin: Floats, ray: Floats) -> Floats:
+    def _hit_depth(self, camera_position: Floats, ray: Floats) -> Floats:
         # The slab method: the box is the intersection of three slabs between parallel planes.
         enter_depth, leave_depth = np.zeros(ray.shape[1]), np.full(ray.shape[1], np.inf)
-        for position, direction, half_length in zip(origin, ray, self.size / 2, strict=True):
+        for position, direction, half_length in zip(
+            camera_position, ray, self.size / 2, strict=True
+        ):
             depth0, depth1 = (
                 (-half_length - position) / direction,
                 (half_length - position) / direction,
@@ -196,12 +203,12 @@ class ObjectView:
         axes, center = item._pose()
         self.rotation, self.translation = rotation, translation
         axes, center = rotation @ axes, rotation @ center + translation
-        # A point P in camera axes has the object coordinates object_rotation P + origin.
-        self.item, self.object_rotation, self.origin = item, axes.T, -axes.T @ center
+        # A point P in camera axes has the object coordinates object_rotation P + camera_position.
+        self.item, self.object_rotation, self.camera_position = item, axes.T, -axes.T @ center
         self._bounds = _image_bounds(item._corners, axes, center)
 
     def misses_all(self, first: Floats, last: Floats) -> bool:
-        """Return whether all rays with (x̂, ŷ) between `first` and `last` miss the object."""
+        """Return whether the bounds of the object exclude all (x̂, ŷ) from `first` to `last`."""
         if self._bounds is None:
             return False
         left, top, right, bottom = self._bounds
@@ -209,16 +216,18 @@ class ObjectView:
 
     def hit_depth(self, rays: Floats) -> Floats:
         """Return the depth of the object along rays, infinite if a ray misses the object."""
-        return self.item._hit_depth(self.origin, self._to_object_axes(rays))
+        return self.item._hit_depth(self.camera_position, self._to_object_axes(rays))
 
     def grey(self, rays: Floats, depth: Floats, focal: float) -> NDArray:
         """Return the grey levels, (n,) float32, at depths along rays; focal length in px."""
         ray = self._to_object_axes(rays)
-        return self.item._grey(ray * depth + self.origin[:, None], ray, depth / focal)
+        return self.item._grey(ray * depth + self.camera_position[:, None], ray, depth / focal)
 
     def is_plain(self, rays: Floats, depth: Floats) -> NDArray[np.bool_]:
         """Return whether the surface has a single grey level around the points at these depths."""
-        return self.item._is_plain(self._to_object_axes(rays) * depth + self.origin[:, None])
+        return self.item._is_plain(
+            self._to_object_axes(rays) * depth + self.camera_position[:, None]
+        )
 
     def _to_object_axes(self, rays: Floats) -> Floats:
         # The slab method divides by components: the addition keeps them from being exactly zero.

@@ -146,7 +146,8 @@ def room(
     pair = scene.render(samples=samples, dtype="float32")
     random = np.random.default_rng(seed)
     frame0, frame1 = (
-        expose(frame, random, noise, blur, dtype) for frame in (pair.frame0, pair.frame1)
+        add_blur_and_noise(frame, random, noise, blur, dtype)
+        for frame in (pair.frame0, pair.frame1)
     )
     return replace(pair, frame0=frame0, frame1=frame1, textured=pair.labels >= _FLOOR_LABEL)
 
@@ -234,7 +235,7 @@ def room_film(
             frame = render_rolling_shutter(lambda delay: scene, path, k, readout, samples)
         else:
             frame = scene.render_frame(pose, samples=samples)
-        frames[k] = expose(frame, random, noise, blur, "uint8")
+        frames[k] = add_blur_and_noise(frame, random, noise, blur, "uint8")
     return Film(frames=frames, depth=depth, poses=path, camera=camera)
 
 
@@ -273,7 +274,9 @@ def render_rolling_shutter(
 ) -> NDArray:
     """Return a frame, (H, W) float32, whose rows are rendered at their readout times.
 
-    `scene_at` returns the scene at a delay from the frame, in frame intervals; it may be negative.
+    `path` contains the poses of the frames, (N, 4, 4); `number` is the number of the frame.
+    `scene_at` returns the scene at a delay from the frame, in frame intervals; a delay can be
+    negative.
     """
     scene0 = scene_at(0.0)
     cx, cy = scene0.camera.center_for(scene0.height, scene0.width)
@@ -289,7 +292,7 @@ def render_rolling_shutter(
 
 
 def _interpolate_pose(path: Floats, number: int, delay: float) -> Floats:
-    """Return the pose at a delay from a frame, in frame intervals; it may be negative."""
+    """Return the pose at a delay from a frame, in frame intervals; a delay can be negative."""
     neighbour = number + (1 if delay > 0 else -1)
     if not 0 <= neighbour < len(path):  # beyond an end of the path: extrapolate the nearest motion
         neighbour = 2 * number - neighbour
@@ -355,49 +358,53 @@ def _furniture(motion: Floats, width: int, seed: int) -> list[Box]:
             seed=seed + _FLOOR_LABEL + 1 + len(boxes),
         )
 
-    def add(axes: Floats, center: Triple, size: Triple, surface: Texture) -> None:
+    def add_box(axes: Floats, center: Triple, size: Triple, surface: Texture) -> None:
         boxes.append(
             Box(texture=surface, center=_AXES @ center, size=size, axes=_AXES @ axes, motion=motion)
         )
 
-    def on_far_wall(right: float, down: float, size: Triple, surface: Texture) -> None:
-        add(_FAR_WALL_AXES, (right, down, _FAR_WALL_Z), (size[0], size[1], 2 * size[2]), surface)
+    def add_to_far_wall(right: float, down: float, size: Triple, surface: Texture) -> None:
+        add_box(
+            _FAR_WALL_AXES, (right, down, _FAR_WALL_Z), (size[0], size[1], 2 * size[2]), surface
+        )
 
-    def on_right_wall(ahead: float, down: float, size: Triple, surface: Texture) -> None:
-        add(
+    def add_to_right_wall(ahead: float, down: float, size: Triple, surface: Texture) -> None:
+        add_box(
             _RIGHT_WALL_AXES,
             (_RIGHT_WALL_X, down, ahead),
             (size[0], size[1], 2 * size[2]),
             surface,
         )
 
-    def on_floor(right: float, ahead: float, size: Triple, degrees: float) -> None:
+    def add_to_floor(right: float, ahead: float, size: Triple, degrees: float) -> None:
         axes, _ = rigid_motion((0, 0, 0, 0, math.radians(degrees), 0))
-        add(axes, (right, _FLOOR_Y - size[1] / 2, ahead), size, make_texture(128, 40))
+        add_box(axes, (right, _FLOOR_Y - size[1] / 2, ahead), size, make_texture(128, 40))
 
     # A door of 0.85 × 2 m on the far wall.
-    on_far_wall(0.55, 0.5, (0.85, 2.0, 0.015), make_texture(152, 4))
+    add_to_far_wall(0.55, 0.5, (0.85, 2.0, 0.015), make_texture(152, 4))
     for side in (-1, 1):
-        on_far_wall(0.55 + side * 0.465, 0.46, (0.08, 2.08, 0.03), make_texture(205, 2))
-    on_far_wall(0.55, -0.54, (0.85, 0.08, 0.03), make_texture(205, 2))
-    on_far_wall(0.21, 0.5, (0.05, 0.18, 0.03), make_texture(70, 8))
-    on_far_wall(0.27, 0.47, (0.14, 0.025, 0.06), make_texture(60, 8))
+        add_to_far_wall(0.55 + side * 0.465, 0.46, (0.08, 2.08, 0.03), make_texture(205, 2))
+    add_to_far_wall(0.55, -0.54, (0.85, 0.08, 0.03), make_texture(205, 2))
+    add_to_far_wall(0.21, 0.5, (0.05, 0.18, 0.03), make_texture(70, 8))
+    add_to_far_wall(0.27, 0.47, (0.14, 0.025, 0.06), make_texture(60, 8))
     # Skirting boards.
-    on_far_wall(-1.28, _FLOOR_Y - 0.05, (2.65, 0.1, 0.012), make_texture(215, 3))
-    on_far_wall(1.68, _FLOOR_Y - 0.05, (1.25, 0.1, 0.012), make_texture(215, 3))
-    on_right_wall(0.5, _FLOOR_Y - 0.05, (6.0, 0.1, 0.012), make_texture(215, 3))
+    add_to_far_wall(-1.28, _FLOOR_Y - 0.05, (2.65, 0.1, 0.012), make_texture(215, 3))
+    add_to_far_wall(1.68, _FLOOR_Y - 0.05, (1.25, 0.1, 0.012), make_texture(215, 3))
+    add_to_right_wall(0.5, _FLOOR_Y - 0.05, (6.0, 0.1, 0.012), make_texture(215, 3))
     # Pictures in their frames.
     for ahead, down, picture_width, picture_height in (
         (2.55, -0.05, 0.62, 0.46),
         (1.55, 0.02, 0.4, 0.52),
     ):
-        on_right_wall(
+        add_to_right_wall(
             ahead, down, (picture_width + 0.07, picture_height + 0.07, 0.02), make_texture(62, 6)
         )
-        on_right_wall(ahead, down, (picture_width, picture_height, 0.022), make_texture(135, 80))
+        add_to_right_wall(
+            ahead, down, (picture_width, picture_height, 0.022), make_texture(135, 80)
+        )
     # Boxes on the floor.
-    on_floor(1.55, 2.75, (0.5, 0.42, 0.4), 18)
-    on_floor(-0.35, 2.6, (0.3, 0.24, 0.34), -35)
+    add_to_floor(1.55, 2.75, (0.5, 0.42, 0.4), 18)
+    add_to_floor(-0.35, 2.6, (0.3, 0.24, 0.34), -35)
     return boxes
 
 
@@ -411,7 +418,7 @@ def detail_for(width: int) -> int:
     return max(0, round(math.log2(width / _REFERENCE_WIDTH)))
 
 
-def expose(
+def add_blur_and_noise(
     frame: NDArray, random: np.random.Generator, noise: float, blur: float, dtype: str
 ) -> NDArray:
     """Blur and add noise to a frame, (H, W) float32; `blur` and `noise` are standard deviations."""

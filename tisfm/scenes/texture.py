@@ -131,16 +131,12 @@ class Texture:
             wavelength, parameters = self.wavelength * 2.0**octave, next(octave_parameters)
             if wavelength / min_footprint <= 2:  # the wave is left out at every point
                 return 0.0
-            fade_weight = np.clip(wavelength / footprint - 2, 0, 1).astype(np.float32)
+            fade = np.clip(wavelength / footprint - 2, 0, 1).astype(np.float32)
             strength = (
                 OCTAVE_STRENGTHS[min(octave, len(OCTAVE_STRENGTHS) - 1)] if octave >= 0 else 1.0
             )
             return (
-                strength
-                * fade_weight
-                * fade_weight
-                * (3 - 2 * fade_weight)
-                * _noise(*position, wavelength, parameters)
+                strength * fade * fade * (3 - 2 * fade) * _noise(*position, wavelength, parameters)
             )
 
         # A displacement of the blotches by the longest wave gives the veins of marble.

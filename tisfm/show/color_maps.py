@@ -138,9 +138,8 @@ def depth_to_color(inverse_depth: ArrayLike, *, limit: float | None = None) -> N
     )
     is_known = np.isfinite(values)
     share = np.where(is_known, 0.0, np.nan)
-    if (
-        max_inverse_depth > 0
-    ):  # values are clipped before they are divided, so that nothing overflows
+    if max_inverse_depth > 0:
+        # Values are clipped before they are divided, so that nothing overflows.
         np.clip(values, 0, max_inverse_depth, out=share, where=is_known)
         share /= max_inverse_depth
     return colors_of(share, "depth")

@@ -30,9 +30,9 @@ def draw_energy(
 ) -> Axes:
     """Draw the energy after every iteration, or the change by every iteration.
 
-    Bands are the levels of the pyramid, from the coarsest on the left. Points are
-    iterations. A line is broken at every new warp of the images: each warp has its own energy
-    function, and the energy never rises within a warp.
+    Bands are the levels of the pyramid, from the coarsest on the left. Points are iterations. A
+    line is broken at every new warp of the images: each warp has its own energy function, and the
+    energy never rises within a warp.
 
     Parameters
     ----------

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 _WHEEL_PIXELS = 400  # width of the colour wheel beside a picture, px
 _FRAME_BRIGHTNESS = 0.6  # factor of the grey levels of a frame under arrows
 _ARROW_SPACING = 0.17  # inches between arrows, in a panel of the size that `panel_size` returns
-_LIMIT_ARROW_SPACINGS = 2.0  # length of the arrow of a motion at the limit, over the arrow spacing
-_MAX_MOTION_LIMITS = 3.0  # motion whose arrow has the maximum length, over the limit
+_LIMIT_ARROW_LENGTH = 2.0  # arrow spacings: length of the arrow of a motion at the limit
+_MAX_ARROW_MOTION = 3.0  # limits: longer motion has the arrow of this motion
 ARROW_STYLE: dict[str, Any] = {
     "angles": "xy",
     "scale_units": "xy",
@@ -61,8 +61,8 @@ def draw_flow(
     axes : matplotlib.axes.Axes, optional
         Axes to draw into; by default those of a new figure, ``axes.figure``.
     limit : float, optional
-        Motion at the rim of the wheel, px/frame, by default the 98th percentile of its length.
-        Longer motion has the colours of the rim.
+        Motion at the rim of the wheel, px/frame, by default the 98th percentile of the length
+        of the motion. Longer motion has the colours of the rim.
     legend : bool
         Whether to draw the legend.
     title : str, optional
@@ -88,11 +88,11 @@ def draw_flow(
     >>> save_figure("flow.png", figure, dpi=60)
     """
     values = as_flow("flow", flow)
-    max_motion = usual_length(values) if limit is None else check_limit("limit", limit)
+    limit_motion = usual_length(values) if limit is None else check_limit("limit", limit)
     target = picture_axes(*values.shape[:2]) if axes is None else axes
-    sizes = show_picture(target, flow_to_color(values, limit=max_motion, beyond="same"), title)
+    sizes = show_picture(target, flow_to_color(values, limit=limit_motion, beyond="same"), title)
     if legend:
-        _draw_wheel(target, max_motion, sizes)
+        _draw_wheel(target, limit_motion, sizes)
     return target
 
 
@@ -139,17 +139,17 @@ def draw_arrows(
     """
     picture, values = as_image("image", image), as_flow("flow", flow)
     require_same_size("flow", values, "image", picture)
-    max_motion = usual_length(values) if limit is None else check_limit("limit", limit)
+    limit_motion = usual_length(values) if limit is None else check_limit("limit", limit)
     target = picture_axes(*values.shape[:2]) if axes is None else axes
     show_picture(target, _dim_frame(as_uint8(picture)[0]), title)
-    if max_motion == 0:
+    if limit_motion == 0:
         return target
-    step, magnification = arrow_scale(values.shape[:2], max_motion)
+    step, magnification = arrow_scale(values.shape[:2], limit_motion)
     arrows = quiver_points(values, step)
     length = np.hypot(arrows.u, arrows.v)
     # Without this bound, one wrong, very long vector would cross the whole picture.
     factor = magnification * np.minimum(
-        1, _MAX_MOTION_LIMITS * max_motion / np.maximum(length, max_motion)
+        1, _MAX_ARROW_MOTION * limit_motion / np.maximum(length, limit_motion)
     )
     target.quiver(arrows.x, arrows.y, arrows.u * factor, arrows.v * factor, **ARROW_STYLE)
     return target
@@ -166,7 +166,7 @@ def arrow_scale(
     """
     pixels_per_inch = shape[1] / panel_size(*shape)[0]
     spacing = _ARROW_SPACING * pixels_per_inch
-    return max(1, round(spacing)), _LIMIT_ARROW_SPACINGS * spacing / limit
+    return max(1, round(spacing)), _LIMIT_ARROW_LENGTH * spacing / limit
 
 
 def _dim_frame(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 GREY_RAMP = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)  # far to near
-_MAX_LABELS = 16  # labels in a legend, which only counts further labels; set by hand
+_MAX_LABELS = 16  # labels in a legend; further labels are only counted; set by hand
 
 
 def draw_image(

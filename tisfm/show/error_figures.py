@@ -100,19 +100,19 @@ def flow_figure(
     """
     recovered_values, true_values = as_flow("flow", flow), as_flow("truth", truth)
     require_same_size("truth", true_values, "flow", recovered_values)
-    top = usual_length(true_values) if limit is None else check_limit("limit", limit)
+    limit_motion = usual_length(true_values) if limit is None else check_limit("limit", limit)
     panels = [
         Panel(
             title=name,
             shape=(values.shape[0], values.shape[1]),
-            draw=partial(_draw_flow, flow=values, limit=top),
+            draw=partial(_draw_flow, flow=values, limit=limit_motion),
         )
         for name, values in (
             ("Recovered flow", recovered_values),
             ("True flow (black: unknown)", true_values),
         )
     ]
-    return mosaic(_arrange_rows(panels), heading=title, legend=wheel_legend(top))
+    return mosaic(_arrange_rows(panels), heading=title, legend=wheel_legend(limit_motion))
 
 
 def depth_error_figure(
@@ -164,13 +164,13 @@ def depth_error_figure(
     low, high = check_error_limits(limits)
     scale = depth_errors(recovered_values, true_values).scale
     true_inverse_depth = _inverse_depth(true_values)
-    top = inverse_depth_limit(true_inverse_depth)
+    max_inverse_depth = inverse_depth_limit(true_inverse_depth)
     percent_limits = (100 * low, 100 * high)
     panels = [
         Panel(
             title=name,
             shape=(true_values.shape[0], true_values.shape[1]),
-            draw=partial(_draw_depth, inverse_depth=inverse_depth, limit=top),
+            draw=partial(_draw_depth, inverse_depth=inverse_depth, limit=max_inverse_depth),
         )
         for name, inverse_depth in (
             ("Recovered depth (near is bright)", _inverse_depth(recovered_values) / scale),
@@ -180,7 +180,7 @@ def depth_error_figure(
     error = 100 * depth_error_map(recovered_values, true_values)
     panels.append(_error_panel("Relative error (grey: unknown)", error, percent_limits, "%"))
     legend = join_legends(
-        [depth_legend(top, f"depth Z\n({unit})"), error_legend(percent_limits, "%")]
+        [depth_legend(max_inverse_depth, f"depth Z\n({unit})"), error_legend(percent_limits, "%")]
     )
     return mosaic(_arrange_rows(panels), heading=title, legend=legend)
 

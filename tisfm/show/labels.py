@@ -76,22 +76,22 @@ def label_overlay(image: ArrayLike, labels: ArrayLike) -> NDArray[np.uint8]:
     (48, 64, 3)
     """
     (picture,) = as_uint8(as_image("image", image))
-    label = check_unmasked(
+    label_map = check_unmasked(
         labels, "labels", advice="fill them first, for instance by labels.filled(0)"
     )
-    if label.dtype.kind not in "iu":
-        raise InputTypeError(f"labels has dtype {label.dtype}, expected integers")
-    if label.ndim != 2:
-        raise InputError(f"labels is {label.shape}, expected (H, W)")
-    require_same_size("labels", label, "image", picture)
-    if label.min() < 0:
-        raise InputError(f"labels has {label.min()}, expected integers from 0")
+    if label_map.dtype.kind not in "iu":
+        raise InputTypeError(f"labels has dtype {label_map.dtype}, expected integers")
+    if label_map.ndim != 2:
+        raise InputError(f"labels is {label_map.shape}, expected (H, W)")
+    require_same_size("labels", label_map, "image", picture)
+    if label_map.min() < 0:
+        raise InputError(f"labels has {label_map.min()}, expected integers from 0")
     grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
     overlay = np.repeat(grey.astype(np.float32)[..., None], 3, axis=2)
-    is_object = label > 0
-    colors = colors_of_categories(label[is_object])
+    is_object = label_map > 0
+    colors = colors_of_categories(label_map[is_object])
     overlay[is_object] += np.float32(_LABEL_OPACITY) * (colors - overlay[is_object])
-    overlay[_boundaries(label)] = 255
+    overlay[_boundaries(label_map)] = 255
     return np.rint(overlay).astype(np.uint8)
 
 

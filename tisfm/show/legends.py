@@ -36,7 +36,7 @@ _SWATCH = 0.14  # side of a square of colour
 _SWATCH_LINE = 0.2  # height of a line with a square of colour
 _TICK_LINE = 0.15  # height of the label of a tick
 # Other numbers, set by hand.
-_MAX_LABELS = 12  # labels in a legend, which only counts further labels
+_MAX_LABELS = 12  # labels in a legend; further labels are only counted
 _TEXT_SIZE = 8.0  # points
 _WHEEL_PIXELS_PER_INCH = 250
 

@@ -57,7 +57,7 @@ class CropResize:
         if scale == 1:
             return np.ascontiguousarray(crop)
         dtype = image.dtype
-        # OpenCV shrinks uint8, uint16, float32 and float64.
+        # OpenCV can shrink uint8, uint16, float32 and float64; other types are converted.
         if dtype not in (np.uint8, np.uint16):
             crop = crop.astype(np.float32 if dtype.itemsize <= 4 else np.float64)
         return _shrink(crop, scale).astype(dtype, copy=False)
@@ -82,7 +82,7 @@ class CropResize:
     def camera_after(
         self,
         camera: Camera,  # Camera of the whole frame. Its distortion stays the same.
-        # height, width: size of the whole frame, px
+        # height and width of the whole frame, px
         height: int,
         width: int,
     ) -> Camera:
@@ -117,7 +117,7 @@ class CropResize:
         if round(min(height, width) * scale) < MIN_SIDE:
             raise InputError(
                 f"size is {self.size}, which leaves less than {MIN_SIDE} px of the shorter side "
-                f"of {name}, {height} × {width} px: give a larger one"
+                f"of {name}, {height} × {width} px: give a larger size"
             )
         return scale
 

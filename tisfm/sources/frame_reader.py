@@ -121,7 +121,7 @@ class Listing:
     digest: str
 
     @classmethod
-    def of(cls, files: Sequence[Path], *, with_sizes: bool = False) -> "Listing":
+    def from_files(cls, files: Sequence[Path], *, with_sizes: bool = False) -> "Listing":
         """Return the listing of files in this order."""
         sizes = [f"/{path.stat().st_size}" if with_sizes else "" for path in files]
         names = "\0".join(f"{path.name}{size}" for path, size in zip(files, sizes, strict=True))

@@ -80,7 +80,7 @@ class Masks:
             self._items = repeat(mask)
         elif isinstance(mask, np.ndarray) and mask.ndim != 3:
             raise InputError(
-                f"mask is {mask.shape}: expected (H, W), or (N, H, W) with one for every frame"
+                f"mask is {mask.shape}: expected (H, W), or (N, H, W) with one mask for every frame"
             )
         elif isinstance(mask, Iterable):
             self.can_read_ahead = False
@@ -88,12 +88,12 @@ class Masks:
             mask_count = len(mask) if isinstance(mask, (Sequence, np.ndarray)) else None
         else:
             raise InputTypeError(
-                f"mask is {mask!r}: expected a picture, an array, or one for every frame"
+                f"mask is {mask!r}: expected a picture or an array, or one for every frame"
             )
         if mask_count is not None and count is not None and mask_count != count:
             raise InputError(
                 f"mask has {mask_count} mask{'s' * (mask_count != 1)}, but there are {count} "
-                "frames: expected one for every frame, or a single one"
+                "frames: expected one mask for every frame, or one mask for all frames"
             )
 
     def reader(self) -> "MaskReader":
@@ -118,7 +118,7 @@ class MaskReader:
         item = next(islice(self._items, index - self._next_index, None), None)
         self._next_index = index + 1
         if item is None:
-            raise InputError(f"mask ended before frame {name}: expected one for every frame")
+            raise InputError(f"mask ended before frame {name}: expected one mask for every frame")
         if isinstance(item, _MaskFile):
             title, valid_pixels = item
         elif is_path(item):

@@ -186,8 +186,8 @@ class FrameSource:
         """The files of the frames in this process, up to the last frame to take."""
         files = self.frame_files
         if self.names is None:  # the size shows whether a video is still being copied
-            return Listing.of(files, with_sizes=True)
-        return Listing.of(files[: self.selection.stop])
+            return Listing.from_files(files, with_sizes=True)
+        return Listing.from_files(files[: self.selection.stop])
 
     def allow_no_pairs(self) -> None:
         """Allow a source without a pair, such as the rest of a sequence that had pairs."""
