@@ -36,7 +36,7 @@ def test_sureness_is_that_of_slopes_along_epipolar_lines():
     inside = np.s_[8:-8, 6:24]
     # Noise of the grey levels over the root of the summed squares of the slopes, 8 per px. Frames
     # and their noise are smoothed a little before.
-    expected = np.sqrt(2) * 1.5 / (8 * DEPTH.inner_side)
+    expected = np.sqrt(2) * 1.5 / (8 * DEPTH.certainty_window)
     assert 0.3 * expected < np.median(along[inside]) < expected
     assert np.median(across[inside]) > 10 * np.median(along[inside])
 

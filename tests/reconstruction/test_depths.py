@@ -188,7 +188,7 @@ def test_errors_of_poses_are_in_the_deviation(monkeypatch, draws):
         shaken = film.poses @ np.array([pose_matrix(twist) for twist in twists])
         with_comparison.append(within_one(film, shaken))
         with monkeypatch.context() as patched:
-            patched.setattr(depths, "DEPTH", replace(DEPTH, difference_to_deviation=0.0))
+            patched.setattr(depths, "DEPTH", replace(DEPTH, deviation_per_difference=0.0))
             without.append(within_one(film, shaken))
     # About 0.8: rounding on a processor decides which keyframes agree.
     assert 0.6 < np.mean(with_comparison) < 0.9

@@ -23,7 +23,9 @@ def match_weights(window: Window, planes: WindowPlanes) -> np.ndarray:
     if planes.is_reliable.any():
         depth = np.where(planes.is_reliable, depth, np.median(depth[planes.is_reliable]))
     deviation = match_deviation(window, depth.astype(np.float32))
-    weight = np.where(planes.is_reliable, 1 / (1 + (deviation / DEPTH.half_weight_cells) ** 2), 0)
+    weight = np.where(
+        planes.is_reliable, 1 / (1 + (deviation / DEPTH.half_weight_match_deviation) ** 2), 0
+    )
     return np.stack([weight, np.where(weight > 0, depth, 0)]).astype(np.float32)
 
 
@@ -47,7 +49,9 @@ def match_deviation(
         total += (gradients[0] * slope_x + gradients[1] * slope_y) ** 2
         total -= np.float32(SOBEL_NOISE_GAIN * noise) * (slope_x**2 + slope_y**2)
     total *= np.float32(window.best_count / len(window.motions))
-    window_sum = cv2.boxFilter(total, -1, (DEPTH.inner_side, DEPTH.inner_side), normalize=False)
+    window_sum = cv2.boxFilter(
+        total, -1, (DEPTH.certainty_window, DEPTH.certainty_window), normalize=False
+    )
     with np.errstate(divide="ignore"):
         deviation: np.ndarray = np.sqrt(np.float32(2 * noise) / np.maximum(window_sum, 0))
     return deviation

@@ -62,7 +62,7 @@ def make_keyframe_window(
 ) -> KeyframeWindow:
     """Return the window of a keyframe."""
     level = 0
-    while frame.size >> 2 * level > DEPTH.max_adjust_pixels:
+    while frame.size >> 2 * level > DEPTH.max_adjustment_pixels:
         level += 1
     small_frame = _shrink(frame, level)
     height, width = small_frame.shape
@@ -75,7 +75,7 @@ def make_keyframe_window(
     with np.errstate(invalid="ignore", divide="ignore"):
         certainty = 1 / (1 + (samples[1] / depth / DEPTH.half_weight_deviation) ** 2)
     variance = window_variance(small_frame, DEPTH.texture_window)
-    texture = variance / (variance + DEPTH.adjust_texture * noise_deviation(small_frame) ** 2)
+    texture = variance / (variance + DEPTH.adjustment_texture * noise_deviation(small_frame) ** 2)
     weight = np.where(valid, np.nan_to_num(certainty) * texture, 0)
     if used_pixels is not None:
         mask = np.pad(used_pixels[offset::stride, offset::stride], [(0, 1)] * 2, mode="edge")
@@ -106,7 +106,7 @@ def adjust_poses(
     if not windows:
         return new_poses
     cache = _FrameCache(frames, camera, settings)
-    for step_index in range(DEPTH.adjust_rounds if rounds is None else rounds):
+    for step_index in range(DEPTH.adjustment_rounds if rounds is None else rounds):
         systems = [_linearise(w, new_poses, cache, move_depth=step_index > 0) for w in windows]
         displacements = {f: _twist_between(new_poses[f], pose) for f, pose in poses.items()}
         steps = _solve(systems, sorted(new_poses), displacements, fixed_frames or (min(new_poses),))
@@ -265,8 +265,8 @@ def _solve(
     each frame to its pose before the adjustment. `displacements` has the twist from there, (6,).
     """
     steps: dict[int, np.ndarray] = {}
-    for start in range(0, len(frames), DEPTH.max_adjust_frames):
-        batch = frames[start : start + DEPTH.max_adjust_frames]
+    for start in range(0, len(frames), DEPTH.max_adjustment_frames):
+        batch = frames[start : start + DEPTH.max_adjustment_frames]
         batch_index = {frame: k for k, frame in enumerate(batch)}
         matrix, vector = np.zeros((6 * len(batch),) * 2), np.zeros(6 * len(batch))
         for system in systems:
@@ -292,4 +292,4 @@ def _pose_rows(numbers: Sequence[int]) -> np.ndarray:
 
 
 def _shrink(frame: np.ndarray, level: int) -> np.ndarray:
-    return gaussian_pyramid(smooth(frame, DEPTH.adjust_smoothing), 0.5, level + 1)[level]
+    return gaussian_pyramid(smooth(frame, DEPTH.adjustment_smoothing), 0.5, level + 1)[level]

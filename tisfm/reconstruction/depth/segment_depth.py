@@ -119,12 +119,12 @@ class PieceDepths:
         Differences between keyframes increase the deviation: they show errors of poses and matches
         that a single window does not show.
         """
-        depth, shape, stride = self._window_depths[key], self._frames.shape, DEPTH.compare_stride
+        depth, shape, stride = self._window_depths[key], self._frames.shape, DEPTH.comparison_stride
         views = [(depth.inverse_depth[::stride, ::stride], depth.deviation[::stride, ::stride])]
         for other, other_depth in self._window_depths.items():
             if other != key:
                 views.append(self._render_keyframe(other_depth, other, key, stride))
-        compared_views = add_difference_to_deviation(views, DEPTH.difference_to_deviation)
+        compared_views = add_difference_to_deviation(views, DEPTH.deviation_per_difference)
         mean, deviation = fuse_views(compared_views)
         # The keyframe has depth at every pixel, so only the relative correction is upsampled.
         inverse_depth = depth.inverse_depth * upsample(mean / views[0][0], stride, shape)
@@ -246,7 +246,7 @@ def choose_keyframes(
     for frame in frames[bisect_right(frames, keys[0]) :]:
         last, current = observations[keys[-1]], observations[frame]
         index0, index1 = last.common_tracks(current)
-        if len(index0) < max(1, DEPTH.min_kept_tracks * len(last.tracks)):
+        if len(index0) < max(1, DEPTH.min_common_tracks * len(last.tracks)):
             keys.append(frame)
             continue
         distances = np.hypot(*(current.points[index1] - last.points[index0]).T)

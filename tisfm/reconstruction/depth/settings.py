@@ -31,24 +31,24 @@ class DepthSettings:
     draw_shrinkage: float = 0.6  # factor of both spreads from round to round
     max_cost: float = 0.25  # matching cost of a reliable match
     # px: smallest region of reliable matches; neighbours differ by at most 1 px in D
-    min_region: int = 200
+    min_region_area: int = 200
     # match_deviation
     # cells: side of the square that gives a cell's certainty; matched windows have 11
-    inner_side: int = 5
+    certainty_window: int = 5
     # Cells: standard deviation of D at which a match has half the weight. Chosen on rendered
     # scenes: such matches have an error of 0.3 cells, and a tenth of them of 1 cell. More certain
     # matches have an error of 0.1 cells, and a fiftieth of them of 1 cell.
-    half_weight_cells: float = 0.5
+    half_weight_match_deviation: float = 0.5
     # window_depth
     # largest number of cells of a keyframe; frames of 4:3 get 160×120, 320×240 and 640×480
-    cells: tuple[int, int, int] = (2**15, 2**17, 2**19)
+    max_cells: tuple[int, int, int] = (2**15, 2**17, 2**19)
     # share of the cells: with fewer reliable matches, there is no depth
     min_matched_share: float = 0.01
     # full weight of the data term of a frame, over the weight of a matched cell
     data_weight: float = 8.0
-    # share of a match's weight that is left where the data term has its full weight, since both use
-    # the same images
-    match_share_left: float = 0.1
+    # smallest share of a match's weight, where the data term has its full weight; the match loses
+    # weight there, since both use the same images
+    min_match_share: float = 0.1
     # px per px: difference of slopes that smoothness tolerates at a crease. It is smaller than for
     # pairs, since matches are more certain. A larger number smooths a floor into the walls.
     slope_scale: float = 0.0009
@@ -59,7 +59,7 @@ class DepthSettings:
     iterations: int = 1  # iterations of each warp
     max_depth_factor: float = 2.0  # largest propagated depth over the largest matched depth
     # share of the matched cells, with the largest depth, that this limit ignores
-    far_share: float = 0.01
+    ignored_far_share: float = 0.01
     # The deviation of D, cells, is the root of the sum of the squares of four parts. The actual
     # error is within one standard deviation at 60 to 76 % of the pixels of rendered rooms, at 57 %
     # in TartanAir, and at 28 % in a HoloLens recording with inexact poses.
@@ -69,14 +69,14 @@ class DepthSettings:
     deviation_per_pixel: float = 0.002  # part from propagation: cells per px of propagation
     # part from matches: share of the difference between nearby matches and D
     difference_share: float = 0.8
-    scatter: float = 0.2  # cells: usual scatter of matches; smaller differences count little
+    match_scatter: float = 0.2  # cells: usual scatter of matches; smaller differences count little
     # cells: sides of the window that averages residuals and differences
     averaging_window: tuple[int, int] = (15, 15)
     # segment_depth
     min_keyframe_motion: float = 0.1  # longer sides: motion of tracks between keyframes
-    # share of a keyframe's tracks: with fewer, there is a new keyframe
-    min_kept_tracks: float = 0.25
-    compare_stride: int = 2  # px between the pixels on which keyframes are compared
+    # share of a keyframe's tracks in a frame: with fewer tracks, there is a new keyframe
+    min_common_tracks: float = 0.25
+    comparison_stride: int = 2  # px between the pixels on which keyframes are compared
     # px between rendered pixels, in frames between keyframes
     render_stride: tuple[int, int, int] = (2, 1, 1)
     # frames of a keyframe window: without this limit, a camera at rest would add frames forever
@@ -84,7 +84,7 @@ class DepthSettings:
     max_frame_distance: int = 40  # frames between a keyframe and its neighbour frames
     max_neighbours: tuple[int, int, int] = (3, 4, 6)  # neighbour frames of a keyframe
     # standard deviation of depth over its difference from neighbour keyframes
-    difference_to_deviation: float = 1.75
+    deviation_per_difference: float = 1.75
     # view_fusion: differences and steps are shares of the inverse depth
     max_difference: float = 0.1  # difference of two rendered surfaces that are one surface
     max_smooth_step: float = 0.05  # step between neighbour pixels on one surface
@@ -97,13 +97,13 @@ class DepthSettings:
     max_fill_cells: int = 2**13  # cells of the grid on which holes are filled
     fill_median: float = 20.0  # cell sides: median inverse depth on this grid
     # step between neighbour pixels on two surfaces, for the alignment of edges
-    min_jump: float = 0.1
+    min_edge_step: float = 0.1
     grey_scale: float = 10.0  # grey levels that reduce a vote for a surface to 1/e
     # pose_adjustment
-    max_adjust_pixels: int = 2**17  # pixels of the pyramid level on which images are compared
-    adjust_smoothing: float = 0.6  # px: standard deviation of the Gaussian on images
+    max_adjustment_pixels: int = 2**17  # pixels of the pyramid level on which images are compared
+    adjustment_smoothing: float = 0.6  # px: standard deviation of the Gaussian on images
     # grey variance over the variance of the noise, at which a pixel has half the weight
-    adjust_texture: float = 50.0
+    adjustment_texture: float = 50.0
     texture_window: int = 11  # px: side of the window of this variance
     # residual with a quarter of the weight, over the root of the median square
     outlier_scale: float = 3.0
@@ -114,8 +114,8 @@ class DepthSettings:
     depth_window: int = 9  # px: side of the window that averages the steps of depth
     # largest step of a pixel's inverse depth, as a share of this inverse depth
     max_depth_step: float = 0.1
-    adjust_rounds: int = 2  # Gauss–Newton steps
-    max_adjust_frames: int = 200  # frames in one system of equations
+    adjustment_rounds: int = 2  # Gauss–Newton steps
+    max_adjustment_frames: int = 200  # frames in one system of equations
 
 
 DEPTH = DepthSettings()

@@ -143,7 +143,9 @@ def _surface_threshold(inverse_depth: np.ndarray) -> np.ndarray:
     """Return the geometric mean of the extremes in a window around a depth edge; elsewhere 0."""
     neighbours, window = (np.ones((side, side), np.uint8) for side in (3, 2 * VOTING_RADIUS + 1))
     max_neighbour = cv2.dilate(inverse_depth, neighbours)
-    is_edge = max_neighbour - cv2.erode(inverse_depth, neighbours) > DEPTH.min_jump * max_neighbour
+    is_edge = (
+        max_neighbour - cv2.erode(inverse_depth, neighbours) > DEPTH.min_edge_step * max_neighbour
+    )
     # These pixels are so near to the edge that their windows contain pixels of both surfaces.
     is_near_edge = (
         cv2.dilate(is_edge.astype(np.uint8), np.ones((2 * VOTING_RADIUS - 1,) * 2, np.uint8)) > 0

@@ -93,7 +93,7 @@ def window_depth(
         others,
         motions,
         camera,
-        cells=by_effort(DEPTH.cells, effort),
+        cells=by_effort(DEPTH.max_cells, effort),
         key_mask=key_mask,
         masks=masks,
         uncropped_shape=uncropped_shape,
@@ -121,7 +121,7 @@ def window_depth(
 
 def min_inverse_depth(matches: np.ndarray) -> np.float32:
     """Return the smallest inverse depth that may be propagated from matches, (N,)."""
-    return np.float32(np.quantile(matches, DEPTH.far_share) / DEPTH.max_depth_factor)
+    return np.float32(np.quantile(matches, DEPTH.ignored_far_share) / DEPTH.max_depth_factor)
 
 
 def second_order(level: int) -> SecondOrderSettings:
@@ -156,7 +156,7 @@ class _DepthRefinement:
         self._grid = grid = runtime.lane_grid(*frame.shape)
         unknowns = Unknowns(grid, camera, 1)
         texture = texture_weight(frame, half_variance=DEPTH.data_texture) * window.used_cells
-        weight = anchors[0] * (1 - (1 - DEPTH.match_share_left) * texture)
+        weight = anchors[0] * (1 - (1 - DEPTH.min_match_share) * texture)
         constraint = grid.allocate(3)
         self._sums = sums = grid.allocate(3)  # A, B and C of the sum of the data terms
         self._minimiser = minimiser = SecondOrderMinimiser(
@@ -229,7 +229,9 @@ def _deviation(
     difference = cv2.blur(weight * np.abs(depth - planes.inverse_depth), DEPTH.averaging_window)
     min_share = np.float32(1 / math.prod(DEPTH.averaging_window))
     difference = difference / np.maximum(cv2.blur(weight, DEPTH.averaging_window), min_share)
-    difference = np.float32(DEPTH.difference_share) * difference**2 / (difference + DEPTH.scatter)
+    difference = (
+        np.float32(DEPTH.difference_share) * difference**2 / (difference + DEPTH.match_scatter)
+    )
     deviation: np.ndarray = np.sqrt(
         DEPTH.min_deviation**2
         + DEPTH.residual_share**2 * square

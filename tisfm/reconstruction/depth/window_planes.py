@@ -206,7 +206,7 @@ def window_planes(window: Window) -> WindowPlanes:
     planes[..., :3] *= np.float32(0.5 ** (window.level - level))
     depth = np.ascontiguousarray(planes[..., 0])
     is_reliable = (planes[..., 3] < DEPTH.max_cost) & (depth > 0) & window.used_cells
-    min_cells = max(1, DEPTH.min_region >> 2 * window.level)
+    min_cells = max(1, DEPTH.min_region_area >> 2 * window.level)
     return WindowPlanes(
         level=window.level,
         inverse_depth=depth,

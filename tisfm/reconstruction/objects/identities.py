@@ -60,7 +60,7 @@ class ObjectTracker:
         labels = np.zeros(grey.shape, np.int32)
         propagated = np.zeros_like(labels) if previous is None else self._propagate(frame, previous)
         objects = self._objects.values()
-        confirmed = [obj.id for obj in objects if obj.core_frames >= OBJECTS.min_frames]
+        confirmed = [obj.id for obj in objects if obj.core_frames >= OBJECTS.min_object_frames]
         object_mask = np.isin(propagated, confirmed)
         regions = list(find_moving_regions(grey, self._evidence[frame], object_mask))
         motions = SmoothMotions(self._motion, frame)

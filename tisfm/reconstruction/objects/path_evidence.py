@@ -153,7 +153,7 @@ class BelowGroundSearch:
             return None
         ground, apparent = self._rays @ plane, self._depths[frame].inverse_depth
         is_below = (
-            (ground > OBJECTS.min_inverse_depth_share * np.abs(ground).max())
+            (ground > OBJECTS.min_ground_inverse_depth * np.abs(ground).max())
             & (apparent * OBJECTS.min_below_ground_ratio < ground)
             & ~moving_pixels
         )

@@ -59,9 +59,8 @@ class ObjectSettings:
     min_ground_frame_share: float = 0.5  # share of these frames that need a ground plane
     # depth of a pixel below the ground over the depth of the ground
     min_below_ground_ratio: float = 1.3
-    # inverse depth of the ground at a pixel over its largest one in the frame; farther ground is
-    # not searched for objects
-    min_inverse_depth_share: float = 0.2
+    # inverse depth of the ground that is searched for objects, over the largest one in the frame
+    min_ground_inverse_depth: float = 0.2
     hidden_steps: tuple[int, ...] = (3, 5, 8)  # frames before and after whose points may be hidden
     min_hidden_difference: float = 12.0  # grey levels, mean, at the position of a hidden point
     min_hidden_points: float = 1.0  # static points that an object hides, over its size
@@ -97,18 +96,19 @@ class ObjectSettings:
     # share of a pixel's smallest error: where no motion fits, a smaller difference between the
     # errors of two motions hardly counts
     relative_error_tolerance: float = 0.5
-    # largest cost of a motion: its squared error over the usual square
+    # largest cost of a motion: its squared error over the squared usual error
     max_motion_cost: float = 16.0
-    # the same unit: cost of a label other than the propagated label
+    # cost of a label other than the propagated label, in the same unit
     identity_change_cost: float = 2.0
     known_motion_weight: float = 0.5  # data weight of pixels of a region with known motion
     unknown_motion_weight: float = 0.02  # data weight of all other pixels
     # tracked_objects
     max_occlusion: int = 15  # frames for which an occluded object keeps its id
     min_histogram_overlap: float = 0.6  # overlap of two histograms of the same object, 0 to 1
-    max_distance: float = 1.5  # distance from the position predicted after occlusion, over the size
+    # distance of a reappeared object from its predicted position, over its size
+    max_reappearance_distance: float = 1.5
     distance_growth: float = 0.1  # relative growth of this limit with each occluded frame
-    min_frames: int = 4  # frames that show an object
+    min_object_frames: int = 4  # frames that show an object
     # Two touching objects are parts of one object if their motions differ by at most
     # `max_same_motion_difference`, a share of the faster motion, and if they touch in
     # `min_touching` of the frames with the smaller object. They are also parts of one object

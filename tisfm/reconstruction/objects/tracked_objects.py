@@ -53,7 +53,10 @@ def most_similar_object(
         limit = max(position[2], last_position[2]) * (1 + OBJECTS.distance_growth * interval)
         distance = float(np.linalg.norm(position[:2] - expected) / limit)
         overlap = float(np.sqrt(histogram * obj.histogram).sum())
-        if distance >= OBJECTS.max_distance or overlap <= OBJECTS.min_histogram_overlap:
+        if (
+            distance >= OBJECTS.max_reappearance_distance
+            or overlap <= OBJECTS.min_histogram_overlap
+        ):
             continue
         if overlap / (1 + distance) > max_similarity:
             max_similarity, best_id = overlap / (1 + distance), obj.id
@@ -92,7 +95,7 @@ def final_labels(
             continue
         members = np.flatnonzero(root == obj)
         frames = {frame for k in members for frame in objects[int(k)].motions}
-        min_frames = min(OBJECTS.min_frames, frame_count)
+        min_frames = min(OBJECTS.min_object_frames, frame_count)
         core_frames = sum(objects[int(k)].core_frames for k in members)
         if len(frames) >= min_frames and core_frames >= min_frames - 1 and number < MAX_OBJECTS:
             number += 1
