@@ -265,9 +265,9 @@ def write_result(
     calibration: Calibration,
     depth: DepthResult,
 ) -> Reconstruction:
-    """Write the camera, moving objects with their depth, and at last the record."""
+    """Write the camera, the moving objects with their depth, and then the record."""
     about = as_json(calibration)
-    del about["shape"]  # the file has width and height
+    del about["shape"]  # the camera file already has the width and the height
     write_camera(job.folder / CAMERA, path_result.camera, reading.camera.shape, about=about)
     objects: tuple[MovingObject, ...] = ()
     if job.has_objects:
@@ -318,7 +318,7 @@ def _solve_or_take_path(
     if job.poses is not None:
         return given_path(tracks, job.poses, camera, reading.times, reading.instants)
     readout = camera.readout
-    if job.has_objects:  # a known readout is corrected, an unknown one is not estimated
+    if job.has_objects:  # a known readout is corrected; an unknown readout is not estimated
         readout = readout or 0.0
     solver = PathSolver(
         tracks=tracks,
@@ -339,7 +339,8 @@ def _label_all_frames(job: Job, reading: ReadingResult) -> None:
             "for at least one"
         )
     label_remaining_frames(reading.frames, reading.labelled_frames)
-    refuse_unknown_ids(job.object_sizes, reading.frames.object_ids())  # before the long computation
+    # The ids are checked before the long computation.
+    refuse_unknown_ids(job.object_sizes, reading.frames.object_ids())
 
 
 def _calibration(job: Job, reading: ReadingResult, path_result: PathResult) -> Calibration:

@@ -85,24 +85,29 @@ def find_models_and_focal(
 
 
 def undistort_observations(
-    observations: Observations, lens: Camera, shape: tuple[int, int]
+    observations: Observations, camera: Camera, shape: tuple[int, int]
 ) -> Observations:
-    """Return the tracks as a pinhole would see them; tracks outside the frame are left out."""
-    if lens.is_pinhole or not len(observations.points):
+    """Return the tracks of a camera with distortion as a pinhole would see them.
+
+    Tracks outside the frame are left out.
+    """
+    if camera.is_pinhole or not len(observations.points):
         return observations
     height, width = shape
-    points = undistort_points(observations.points, lens, shape)
+    points = undistort_points(observations.points, camera, shape)
     is_inside = ((points >= 0) & (points <= (width - 1, height - 1))).all(axis=1)
     return Observations(points=points[is_inside], tracks=observations.tracks[is_inside])
 
 
-def undistort_points(points: np.ndarray, lens: Camera, shape: tuple[int, int]) -> np.ndarray:
-    """Return points, (N, 2) px, at the positions where a pinhole would see them."""
-    if lens.is_pinhole or not len(points):
+def undistort_points(points: np.ndarray, camera: Camera, shape: tuple[int, int]) -> np.ndarray:
+    """Return points of a camera with distortion, (N, 2) px, as a pinhole would see them."""
+    if camera.is_pinhole or not len(points):
         return points
-    cx, cy = lens.center_for(*shape)
-    matrix = np.array([[lens.focal, 0, cx], [0, lens.focal, cy], [0, 0, 1]])
-    undistorted = cv2.undistortPoints(points[:, None], matrix, np.array(lens.distortion), P=matrix)
+    cx, cy = camera.center_for(*shape)
+    matrix = np.array([[camera.focal, 0, cx], [0, camera.focal, cy], [0, 0, 1]])
+    undistorted = cv2.undistortPoints(
+        points[:, None], matrix, np.array(camera.distortion), P=matrix
+    )
     return np.asarray(undistorted[:, 0])
 
 
@@ -144,6 +149,7 @@ def _estimate_focal(
 
 
 def _guess_estimate(guess: Camera) -> FocalEstimate:
+    """Return an estimate with infinite deviation: the guess is used."""
     return FocalEstimate(focal=guess.focal, deviation=math.inf)
 
 

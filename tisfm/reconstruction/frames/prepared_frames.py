@@ -104,8 +104,8 @@ class PreparedFrames:
     def correct(
         self,
         camera: Camera,  # camera of the prepared frames, with the distortion that they still have
-        rolling: RollingShutterMotion
-        | None = None,  # the motion of frames while their rows were read
+        # the motion of frames while their rows were read
+        rolling: RollingShutterMotion | None = None,
     ) -> None:
         """Remove the distortion and then the readout effect that were estimated after reading.
 

@@ -234,24 +234,28 @@ class PathSolver:
                 focal = focal_from_submaps(
                     views, matches, camera, shape, calibrate, max_deviation=self.max_deviation
                 )
-                if focal is None:  # no part has a path
+                if focal is None:  # no submap has a path
                     return self._solve_from_models([], views, tracks, camera)
-            lens = camera if focal is None else focal.apply_to(camera)
-            observations = _undistort_tracks(tracks, lens, shape)
-            undistorted_views = _undistort_views(views, lens, shape)
+            estimated_camera = camera if focal is None else focal.apply_to(camera)
+            observations = _undistort_tracks(tracks, estimated_camera, shape)
+            undistorted_views = _undistort_views(views, estimated_camera, shape)
             models = models_from_submaps(
                 undistorted_views,
                 matches,
-                lens.pinhole(),
+                estimated_camera.pinhole(),
                 shape,
                 observations,
                 is_focal_known=self._uses_known_focal,
             )
-            return self._solve_from_models(models, views, observations, lens, focal)
+            return self._solve_from_models(models, views, observations, estimated_camera, focal)
         models, focal = self.find_new_models(views, matches, camera, calibrate)
-        lens = camera if focal is None else focal.apply_to(camera)
+        estimated_camera = camera if focal is None else focal.apply_to(camera)
         return self._solve_from_models(
-            models, views, _undistort_tracks(tracks, lens, shape), lens, focal
+            models,
+            views,
+            _undistort_tracks(tracks, estimated_camera, shape),
+            estimated_camera,
+            focal,
         )
 
     def _solve_from_models(
@@ -294,28 +298,30 @@ def find_path(
 
 
 def _undistort_tracks(
-    tracks: Sequence[Observations], lens: Camera, shape: tuple[int, int]
+    tracks: Sequence[Observations], camera: Camera, shape: tuple[int, int]
 ) -> Sequence[Observations]:
     """Return the tracks of every frame as a pinhole would see them."""
-    if lens.is_pinhole:
+    if camera.is_pinhole:
         return tracks
     undistorted = DiskCache(Observations.to_arrays, Observations.from_arrays)
     for observations in tracks:
-        undistorted.append(undistort_observations(observations, lens, shape))
+        undistorted.append(undistort_observations(observations, camera, shape))
     return undistorted
 
 
-def _undistort_views(views: Sequence[View], lens: Camera, shape: tuple[int, int]) -> Sequence[View]:
+def _undistort_views(
+    views: Sequence[View], camera: Camera, shape: tuple[int, int]
+) -> Sequence[View]:
     """Return views as a pinhole would see them."""
-    if lens.is_pinhole:
+    if camera.is_pinhole:
         return views
     undistorted = DiskCache(View.to_arrays, View.from_arrays)
     for view in views:
         undistorted.append(
             View(
                 frame=view.frame,
-                observations=undistort_observations(view.observations, lens, shape),
-                detected=undistort_points(view.detected, lens, shape),
+                observations=undistort_observations(view.observations, camera, shape),
+                detected=undistort_points(view.detected, camera, shape),
             )
         )
     return undistorted
