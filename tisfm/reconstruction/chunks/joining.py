@@ -73,14 +73,14 @@ def place_chunks(
     if has_given_poses:
         worlds = [{node: np.eye(4) for node in range(len(nodes))}]
     else:
-        worlds = _worlds(parts, nodes)
+        worlds = _find_worlds(parts, nodes)
     world_of_node = {nodes[node]: n for n, world in enumerate(worlds) for node in world}
-    similarity = {
+    similarities = {
         nodes[node]: similarity_of_node
         for world in worlds
         for node, similarity_of_node in world.items()
     }
-    pieces: dict[int, int] = {}
+    piece_numbers: dict[int, int] = {}
     bases: dict[int, tuple[np.ndarray, float]] = {}  # by world: its first pose, and its unit
     placements = []
     for index, chunk_number in chunk_numbers.items():
@@ -93,20 +93,20 @@ def place_chunks(
             )
             continue
         world = world_of_node[node]
-        pose = transform_pose(similarity[node], part.result.poses[number])
-        if world not in pieces:
-            pieces[world] = len(pieces)
-            unit = _unit_of_world(parts, chunk_numbers, similarity, world_of_node, world)
+        pose = transform_pose(similarities[node], part.result.poses[number])
+        if world not in piece_numbers:
+            piece_numbers[world] = len(piece_numbers)
+            unit = _unit_of_world(parts, chunk_numbers, similarities, world_of_node, world)
             # For the first frame of all, the base is an exact identity.
             is_identity = np.allclose(pose, np.eye(4), atol=1e-12)
             bases[world] = (np.eye(4) if is_identity or has_given_poses else pose), unit
         base, unit = bases[world]
         pose = np.linalg.solve(base, pose)
         pose[:3, 3] /= unit
-        scale = sim3_scale(similarity[node]) / unit
+        scale = sim3_scale(similarities[node]) / unit
         placements.append(
             ChunkPlacement(
-                part=chunk_number, number=number, piece=pieces[world], pose=pose, scale=scale
+                part=chunk_number, number=number, piece=piece_numbers[world], pose=pose, scale=scale
             )
         )
     return placements
@@ -147,14 +147,14 @@ def _first_frame_of_later(before: ChunkResult, after: ChunkResult) -> int:
     return shared[min(keyframes, key=lambda k: (abs(k - middle), k), default=middle)]
 
 
-def _worlds(
+def _find_worlds(
     parts: Sequence[ChunkResult], nodes: Sequence[tuple[int, int]]
 ) -> list[dict[int, np.ndarray]]:
     """Return the similarities from pieces to their world, by the indices of `nodes`, per world.
 
     A node is a chunk and a piece of the chunk.
     """
-    number = {node: n for n, node in enumerate(nodes)}
+    node_numbers = {node: n for n, node in enumerate(nodes)}
     overlaps = []
     for k, (before, after) in enumerate(pairwise(parts)):
         shared_frames: dict[tuple[int, int], list[tuple[int, int]]] = {}
@@ -169,8 +169,8 @@ def _worlds(
             if similarity is not None:
                 overlaps.append(
                     ChunkOverlap(
-                        first=number[k, first],
-                        second=number[k + 1, second],
+                        first=node_numbers[k, first],
+                        second=node_numbers[k + 1, second],
                         similarity=similarity,
                         frames=len(shared),
                     )
@@ -181,8 +181,9 @@ def _worlds(
 
 def _unit_of_world(
     parts: Sequence[ChunkResult],
-    chunk_numbers: dict[int, int],
-    similarity: dict[tuple[int, int], np.ndarray],
+    chunk_numbers: dict[int, int],  # from `_chunk_of_frames`
+    # by node: (4, 4) array, from the coordinates of its piece to its world
+    similarities: dict[tuple[int, int], np.ndarray],
     world_of_node: dict[tuple[int, int], int],
     world: int,
 ) -> float:
@@ -203,7 +204,7 @@ def _unit_of_world(
         ),
         world_frames[0],
     )
-    return sim3_scale(similarity[first[0], parts[first[0]].piece(first[1])])
+    return sim3_scale(similarities[first[0], parts[first[0]].piece(first[1])])
 
 
 def write_joined_result(

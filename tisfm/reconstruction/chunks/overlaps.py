@@ -60,7 +60,10 @@ def overlap_sim3(
 
 
 def scale_from_positions(
-    poses: np.ndarray, others: np.ndarray, rotation: np.ndarray
+    # poses, others: (N, 4, 4): camera to world, of the same frames in the first and second result
+    poses: np.ndarray,
+    others: np.ndarray,
+    rotation: np.ndarray,  # (3, 3): from the axes of the second result to those of the first
 ) -> tuple[float, float] | None:
     """Return the logarithm of the scale from camera positions, and its standard deviation."""
     if len(poses) < CHUNKING.min_positions:

@@ -88,16 +88,16 @@ def _grid_points(
 def _parallax_values(
     poses: np.ndarray,
     key: int,
-    candidates: np.ndarray,
-    rays: np.ndarray,
-    inverse_depths: np.ndarray,
+    candidates: np.ndarray,  # (J,): numbers of the frames
+    rays: np.ndarray,  # (3, P)
+    inverse_depths: np.ndarray,  # (P,)
     camera: Camera,
     shape: tuple[int, int],
-    uncropped_width: int,
+    uncropped_width: int,  # px
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return how well candidates show points (J, P), and the directions of parallax (J, 2, P).
 
-    Parallax is a share of `uncropped_width`, an image width in px.
+    Parallax is a share of `uncropped_width`.
     """
     height, width = shape
     cx, cy = camera.center_for(height, width)

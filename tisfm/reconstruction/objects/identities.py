@@ -84,10 +84,10 @@ class ObjectTracker:
     def _assign_by_motion(
         self,
         frame: int,
-        region: np.ndarray,
-        ids: list[int],
-        labels: np.ndarray,
-        propagated: np.ndarray,
+        region: np.ndarray,  # (H, W) bool
+        ids: list[int],  # ids of objects that the region may show
+        labels: np.ndarray,  # (H, W) int32, modified in place
+        propagated: np.ndarray,  # (H, W) int32: propagated labels of the previous frame
         motions: SmoothMotions,
     ) -> None:
         """Assign each pixel of a region to the object whose motion fits the pixel best.
@@ -96,7 +96,7 @@ class ObjectTracker:
         """
         errors: dict[int, np.ndarray] = {}  # by object id: distance of pixels from its motion, px
         # smallest error of each pixel, in standard deviations of the motion
-        min_deviations = np.full(region.shape, np.inf, np.float32)
+        relative_errors = np.full(region.shape, np.inf, np.float32)
         min_deviation = np.inf
         for number in ids:
             obj = self._objects[number]
@@ -111,12 +111,14 @@ class ObjectTracker:
             velocity = obj.velocity if is_tracked else None
             errors[number], deviation = motions.residuals_from(pixels, velocity, terms=terms)
             min_deviation = min(min_deviation, deviation)
-            min_deviations = np.minimum(min_deviations, errors[number] / deviation)
+            relative_errors = np.minimum(relative_errors, errors[number] / deviation)
             if is_tracked:
                 errors[number][~self._predicted_mask(obj)] = np.inf
-        outliers = np.uint8(region & (min_deviations > OBJECTS.max_motion_deviations))
-        opened = cv2.morphologyEx(outliers, cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
-        count, components, statistics, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
+        outliers = np.uint8(region & (relative_errors > OBJECTS.max_motion_deviations))
+        outlier_mask = cv2.morphologyEx(outliers, cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
+        count, components, statistics, _ = cv2.connectedComponentsWithStats(
+            outlier_mask, connectivity=4
+        )
         for k in range(1, count):
             part = components == k
             if statistics[k, cv2.CC_STAT_AREA] < smallest_object(region.size):
@@ -143,20 +145,20 @@ class ObjectTracker:
         has_motion = motions.valid[window] & region[window]
         weight = np.where(has_motion, OBJECTS.known_motion_weight, OBJECTS.unknown_motion_weight)
         grey = np.ascontiguousarray(self._motion.grey(frame)[window])
-        best = numbers[Potts(grey).assign(costs.astype(np.float32), weight.astype(np.float32))]
-        labels[window][region[window]] = best[region[window]]
+        best_ids = numbers[Potts(grey).assign(costs.astype(np.float32), weight.astype(np.float32))]
+        labels[window][region[window]] = best_ids[region[window]]
 
     @staticmethod
     def _predicted_mask(obj: TrackedObject, *, enlarge: bool = True) -> np.ndarray:
         """Return the predicted mask of an object in the next frame, dilated if `enlarge`."""
         x, y = obj.velocity
-        shifted = cv2.warpAffine(
+        shifted_mask = cv2.warpAffine(
             np.uint8(obj.mask), np.array([[1, 0, x], [0, 1, y]]), obj.mask.shape[::-1]
         )
         if not enlarge:
-            return shifted > 0
+            return shifted_mask > 0
         side = 1 + 2 * round(OBJECTS.search_margin * obj.mask.sum() ** 0.5 + 1)
-        return cv2.dilate(shifted, np.ones((side, side), np.uint8)) > 0
+        return cv2.dilate(shifted_mask, np.ones((side, side), np.uint8)) > 0
 
     def _find_object(
         self, frame: int, region: np.ndarray, labels: np.ndarray, propagated: np.ndarray
@@ -187,7 +189,7 @@ class ObjectTracker:
         self,
         frame: int,
         labels: np.ndarray,
-        regions: Sequence[tuple[np.ndarray, bool]],
+        regions: Sequence[tuple[np.ndarray, bool]],  # from `find_moving_regions`
         motions: SmoothMotions,
     ) -> None:
         """Update the state of the objects in a frame, and count their touching pairs."""
