@@ -50,10 +50,10 @@ def refuse_masked(
     advice: str | None = None,
 ) -> None:
     """Raise ValueError if an array has masked values: NumPy's functions would drop the mask."""
-    masked, total = _count_masked(values)
-    if masked:
+    masked_count, total = _count_masked(values)
+    if masked_count:
         advice = advice or f"fill them first, for instance by {name}.filled(np.nan)"
-        raise InputError(f"{name} has {masked} of {total} values masked: {advice}")
+        raise InputError(f"{name} has {masked_count} of {total} values masked: {advice}")
 
 
 def check_unmasked(
@@ -94,9 +94,9 @@ def find_similar_word(word: str, candidates: Iterable[str]) -> str | None:
     completions = [name for name in words if name.startswith(word)] if word.strip("-") else []
     if len(completions) == 1:
         return completions[0]
-    lower = {name.lower(): name for name in reversed(words)}
-    similar = difflib.get_close_matches(word.lower(), lower, n=1, cutoff=_MIN_SIMILARITY)
-    return lower[similar[0]] if similar else None
+    lowercase_words = {name.lower(): name for name in reversed(words)}
+    matches = difflib.get_close_matches(word.lower(), lowercase_words, n=1, cutoff=_MIN_SIMILARITY)
+    return lowercase_words[matches[0]] if matches else None
 
 
 def spelling_hint(word: str, candidates: Iterable[str]) -> str:

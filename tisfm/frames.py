@@ -43,19 +43,19 @@ def grey_pair(
     Raises ValueError if shapes differ, a side is shorter than 4 px, or a pixel is masked, NaN,
     infinite or beyond 1e36.
     """
-    first, second = check_frame(frame0, "frame0"), check_frame(frame1, "frame1")
-    if first.shape != second.shape:
+    image0, image1 = check_frame(frame0, "frame0"), check_frame(frame1, "frame1")
+    if image0.shape != image1.shape:
         raise InputError(
-            f"frame1 is {second.shape} but frame0 is {first.shape}: "
+            f"frame1 is {image1.shape} but frame0 is {image0.shape}: "
             "frames of a pair must have the same size and channels"
         )
-    if first.dtype != second.dtype and not (_is_float(first) and _is_float(second)):
+    if image0.dtype != image1.dtype and not (_is_float(image0) and _is_float(image1)):
         raise InputTypeError(
-            f"frame1 is {second.dtype} but frame0 is {first.dtype}: "
+            f"frame1 is {image1.dtype} but frame0 is {image0.dtype}: "
             "frames of a pair must have the same type"
         )
-    factor = _grey_factor(first, second, scales_unit_range=scales_unit_range)
-    return _to_grey(first, factor), _to_grey(second, factor)
+    factor = _grey_factor(image0, image1, scales_unit_range=scales_unit_range)
+    return _to_grey(image0, factor), _to_grey(image1, factor)
 
 
 def check_frame(frame: npt.ArrayLike, name: str) -> np.ndarray:
@@ -103,11 +103,11 @@ def to_eight_bit(
     frame0: npt.ArrayLike, frame1: npt.ArrayLike, *, scales_unit_range: bool = True
 ) -> np.ndarray:
     """Return frame 0 of a pair as uint8 for display, scaled by the factor of `grey_pair`."""
-    first, second = check_frame(frame0, "frame0"), check_frame(frame1, "frame1")
-    if first.dtype == np.uint8:
-        return first.copy()
-    scaled_frame = first.astype(np.float32, order="C") * np.float32(
-        _grey_factor(first, second, scales_unit_range=scales_unit_range)
+    image0, image1 = check_frame(frame0, "frame0"), check_frame(frame1, "frame1")
+    if image0.dtype == np.uint8:
+        return image0.copy()
+    scaled_frame = image0.astype(np.float32, order="C") * np.float32(
+        _grey_factor(image0, image1, scales_unit_range=scales_unit_range)
     )
     return np.clip(np.rint(scaled_frame), 0, 255).astype(np.uint8)
 
@@ -135,10 +135,10 @@ def _is_float(array: np.ndarray) -> bool:
     return bool(np.issubdtype(array.dtype, np.floating))
 
 
-def _grey_factor(first: np.ndarray, second: np.ndarray, *, scales_unit_range: bool) -> float:
-    if first.dtype == np.uint16:
+def _grey_factor(image0: np.ndarray, image1: np.ndarray, *, scales_unit_range: bool) -> float:
+    if image0.dtype == np.uint16:
         return 1 / 257
-    if scales_unit_range and _is_float(first) and in_unit_range(first) and in_unit_range(second):
+    if scales_unit_range and _is_float(image0) and in_unit_range(image0) and in_unit_range(image1):
         return 255.0
     return 1.0
 

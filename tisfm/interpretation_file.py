@@ -156,9 +156,9 @@ def read_interpretation(path: str | os.PathLike[str]) -> dict[str, Any]:
 def _read(file: NpzFile) -> dict[str, Any]:
     about = _read_about(file)
     file.require_only(_ENTRIES)
-    missing = sorted({*_REQUIRED_ARRAYS, *_HISTORY_ENTRIES}.difference(file))
-    if missing:
-        raise InputError(f"it has no {', '.join(missing)}")
+    missing_names = sorted({*_REQUIRED_ARRAYS, *_HISTORY_ENTRIES}.difference(file))
+    if missing_names:
+        raise InputError(f"it has no {', '.join(missing_names)}")
     camera, settings = _read_camera(about["camera"]), _read_settings(about["settings"])
     packings = _read_packings(file, about["packed"])
     names = [name for name in _MEMORY_TYPES if name in file]
@@ -225,8 +225,8 @@ def _read_array(file: NpzFile, name: str, packing: Packing | None) -> NDArray[An
 def _read_about(file: NpzFile) -> dict[str, Any]:
     """Return the entry "about", after the checks that need no other entry."""
     if "about" not in file:
-        missing = sorted({"about", *_REQUIRED_ARRAYS}.difference(file))
-        raise InputError(f"it has no {', '.join(missing)}")
+        missing_names = sorted({"about", *_REQUIRED_ARRAYS}.difference(file))
+        raise InputError(f"it has no {', '.join(missing_names)}")
     text = file.read("about", max_bytes=_MAX_ABOUT_BYTES)
     if text.dtype.kind != "U" or text.shape != ():
         raise InputError(f"about is {text.shape} {text.dtype}, expected one text")
@@ -276,14 +276,14 @@ def _read_settings(about: Any) -> Settings:
         raise InputError(str(error)) from error
 
 
-def _check_names(owner: str, values: Any, expected: Iterable[str]) -> None:
+def _check_names(owner: str, values: Any, names: Iterable[str]) -> None:
     if not isinstance(values, dict):
         raise InputError(f"{owner} is {values!r}: expected an object of JSON")
-    missing, unknown = set(expected).difference(values), set(values).difference(expected)
-    if missing:
-        raise InputError(f"missing in {owner}: {', '.join(sorted(missing))}")
-    if unknown:
-        raise InputError(f"unknown in {owner}: {', '.join(sorted(unknown))}")
+    missing_names, unknown_names = set(names).difference(values), set(values).difference(names)
+    if missing_names:
+        raise InputError(f"missing in {owner}: {', '.join(sorted(missing_names))}")
+    if unknown_names:
+        raise InputError(f"unknown in {owner}: {', '.join(sorted(unknown_names))}")
 
 
 def _check_layout(
@@ -322,10 +322,12 @@ def _check_layout(
         **{name: (iteration_count,) for name in _HISTORY_ENTRIES},
     }
     for name, (shape, kind) in layout.items():
-        expected = shapes.get(name, (height, width))
-        if shape != expected or kind not in types[name]:
+        expected_shape = shapes.get(name, (height, width))
+        if shape != expected_shape or kind not in types[name]:
             expected_types = " or ".join(str(kind) for kind in types[name])
-            raise InputError(f"{name} is {shape} {kind}, expected {expected} {expected_types}")
+            raise InputError(
+                f"{name} is {shape} {kind}, expected {expected_shape} {expected_types}"
+            )
 
 
 def _check_values(arrays: Mapping[str, NDArray[Any]], status: str) -> None:
@@ -370,10 +372,10 @@ def _check_values(arrays: Mapping[str, NDArray[Any]], status: str) -> None:
 
 def _round_to_half(array: NDArray[np.float32]) -> NDArray[np.float16]:
     """Round to 11 significant bits, and to 2⁻²⁴ where the numbers are tiny."""
-    flat = np.ascontiguousarray(array).reshape(-1, array.shape[-1])
+    flat_array = np.ascontiguousarray(array).reshape(-1, array.shape[-1])
     try:
         # Several times as fast as NumPy. −0 leaves every number as it is; 0 would change −0.
-        rounded = cv2.add(flat, -0.0, dtype=cv2.CV_16F)  # type: ignore[call-overload]
+        rounded = cv2.add(flat_array, -0.0, dtype=cv2.CV_16F)  # type: ignore[call-overload]
     except cv2.error:  # this version of OpenCV cannot convert to float16
-        rounded = flat.astype(np.float16)
+        rounded = flat_array.astype(np.float16)
     return rounded.reshape(array.shape)

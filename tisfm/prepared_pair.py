@@ -51,9 +51,9 @@ def prepare_pair(
     """Return a pair ready for interpretation; the arguments are those of `interpret_pair`."""
     grey0, grey1 = grey_pair(frame0, frame1, scales_unit_range=scales_unit_range)
     frame = to_eight_bit(frame0, frame1, scales_unit_range=scales_unit_range)
-    valid = _used_pixels(ignored, grey0.shape)
-    if valid is not None:
-        grey0, grey1 = fill_ignored(grey0, ~valid[0]), fill_ignored(grey1, ~valid[1])
+    valid_pixels = _used_pixels(ignored, grey0.shape)
+    if valid_pixels is not None:
+        grey0, grey1 = fill_ignored(grey0, ~valid_pixels[0]), fill_ignored(grey1, ~valid_pixels[1])
     if camera is None and settings.motion != "field":
         camera = guess_camera(grey0.shape)
     camera = check_camera(camera)
@@ -66,27 +66,27 @@ def prepare_pair(
     lens = None if camera.is_pinhole else Undistortion(camera, *grey0.shape)
     if lens is not None:
         grey0, grey1, frame = map(lens.apply, (grey0, grey1, frame))
-        if valid is not None:
-            first, second = (
-                lens.apply_nearest((~pixels).astype(np.float32)) > 0 for pixels in valid
+        if valid_pixels is not None:
+            ignored0, ignored1 = (
+                lens.apply_nearest((~pixels).astype(np.float32)) > 0 for pixels in valid_pixels
             )
-            valid = ~first, ~second
+            valid_pixels = ~ignored0, ~ignored1
         camera = camera.pinhole()
     overflow = overflow_status(grey0, grey1)
     if settings.motion == "camera" and camera.readout and overflow is None:
-        has_data = valid
+        has_data = valid_pixels
         if lens is not None:
-            used_pixels = (np.ones_like(lens.valid),) * 2 if valid is None else valid
+            used_pixels = (np.ones_like(lens.valid),) * 2 if valid_pixels is None else valid_pixels
             has_data = used_pixels[0] & lens.valid, used_pixels[1] & lens.valid
         corrected_pair = global_shutter_pair(
             grey0, grey1, frame, has_data, camera, settings, known_pose
         )
         if corrected_pair is not None:
             grey0, grey1, frame = corrected_pair.grey0, corrected_pair.grey1, corrected_pair.frame
-            valid, lens = corrected_pair.valid, None
+            valid_pixels, lens = corrected_pair.valid, None
             camera = replace(camera, readout=0.0)
     return PreparedPair(
-        pyramid=pyramid_of(grey0, grey1, camera, settings, valid),
+        pyramid=pyramid_of(grey0, grey1, camera, settings, valid_pixels),
         camera=camera,
         lens=lens,
         frame=frame,
@@ -102,12 +102,12 @@ def ignored_pixels(mask: npt.ArrayLike, shape: tuple[int, ...]) -> tuple[np.ndar
             f"mask is the path {os.fspath(mask)!r}: expected an array; read the file, for "
             "instance by tisfm.formats.read_image"
         )
-    used = check_mask(mask, "mask")
-    used_pixels = np.stack([used, used]) if used.ndim == 2 else used
+    is_used = check_mask(mask, "mask")
+    used_pixels = np.stack([is_used, is_used]) if is_used.ndim == 2 else is_used
     if used_pixels.shape != (2, *shape):
         height, width = shape
         raise InputError(
-            f"mask is {used.shape}: expected ({height}, {width}), the size of the frames, or "
+            f"mask is {is_used.shape}: expected ({height}, {width}), the size of the frames, or "
             f"(2, {height}, {width}) with one for each of them"
         )
     return ~used_pixels[0], ~used_pixels[1]
@@ -120,8 +120,8 @@ def _used_pixels(
     if ignored is None or not any(pixels is not None and pixels.any() for pixels in ignored):
         return None
     used0, used1 = (np.ones(shape, bool) if pixels is None else ~pixels for pixels in ignored)
-    for name, used in (("frame0", used0), ("frame1", used1)):
-        if not used.any():
+    for name, used_in_frame in (("frame0", used0), ("frame1", used1)):
+        if not used_in_frame.any():
             raise InputError(
                 f"mask is black at all pixels of {name}, so no pixel is left: black pixels "
                 "are ignored, white ones count"

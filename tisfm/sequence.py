@@ -189,13 +189,13 @@ def _interpret_in_workers(
     """Interpret the first pair in this process, to find the camera, and the others in workers."""
     frames, pairs = source.open()
     with closing(pairs):
-        first = next(pairs)
-        refuse_float_frames(first)
+        first_pair = next(pairs)
+        refuse_float_frames(first_pair)
         warned_count = _warn_of_skipped(frames, 0)
-        camera = _camera_of_prepared_frames(frames, first, camera, source.settings)
-        result = first.interpret(camera=camera, settings=source.settings)
-        camera, number = camera or result.camera, source.number(first) + 1
-        del first
+        camera = _camera_of_prepared_frames(frames, first_pair, camera, source.settings)
+        result = first_pair.interpret(camera=camera, settings=source.settings)
+        camera, number = camera or result.camera, source.number(first_pair) + 1
+        del first_pair
         yield result
         del result
         if number >= len(frames):  # a video may have more frames than its header says

@@ -70,10 +70,10 @@ def motion_rates(
     }
     rates = {}
     for k, frame in enumerate(frames):
-        neighbours = [other for other in frames[max(0, k - 1) : k + 1] if other in twists]
-        near_neighbours = [other for other in neighbours if times[other] <= max_gap] or neighbours
+        neighbours = [start for start in frames[max(0, k - 1) : k + 1] if start in twists]
+        near_neighbours = [start for start in neighbours if times[start] <= max_gap] or neighbours
         if near_neighbours:
-            rates[frame] = np.mean([twists[other] for other in near_neighbours], axis=0)
+            rates[frame] = np.mean([twists[start] for start in near_neighbours], axis=0)
     return rates
 
 

@@ -153,7 +153,7 @@ def data_entries(data: Path) -> tuple[list[Entry], dict[str, str]]:
     for folder, group in STEREO_FOLDERS.items():
         pairs = list(LAYOUTS["stereo"].find(data / folder))
         if not pairs:
-            missing[group] = f"no {LAYOUTS['stereo'].expected} in {folder}"
+            missing[group] = f"no {LAYOUTS['stereo'].expected_files} in {folder}"
         entries += [Entry(p.name, group, partial(_loaded, p, p.name, group)) for p in pairs]
     return entries, missing
 

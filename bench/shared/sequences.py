@@ -87,10 +87,10 @@ def _read(data: Path, name: str, source: Source) -> FlowPair:
     folder = data / source.folder
     pairs = [pair for pair in rule.find(folder) if source.name in ("", pair.name)]
     if not pairs:
-        raise FileNotFoundError(f"no pair in {folder}: expected {rule.expected}")
+        raise FileNotFoundError(f"no pair in {folder}: expected {rule.expected_files}")
     pair = pairs[0].load()
     if pair.flow is None:
-        raise FileNotFoundError(f"no true flow in {folder}: expected {rule.expected}")
+        raise FileNotFoundError(f"no true flow in {folder}: expected {rule.expected_files}")
     return FlowPair(
         name=name,
         group=source.group,

@@ -65,8 +65,8 @@ def test_the_layout_can_be_given(data, kind):
     for other in set(LAYOUTS) - {layout}:
         with pytest.raises(FileNotFoundError, match=f"{other}: ") as caught:
             find_pairs(data, layout=other)
-        assert LAYOUTS[other].expected in str(caught.value)
-        assert LAYOUTS[layout].expected not in str(caught.value)
+        assert LAYOUTS[other].expected_files in str(caught.value)
+        assert LAYOUTS[layout].expected_files not in str(caught.value)
 
 
 def test_from_above_and_from_within(data, kind, tmp_path, monkeypatch):
@@ -205,7 +205,7 @@ def test_missing_folders_are_errors(tmp_path):
     with pytest.raises(FileNotFoundError, match="holds no pair of frames") as caught:
         find_pairs(tmp_path)
     for name, rule in LAYOUTS.items():
-        assert f"{name}: {rule.expected}" in str(caught.value)
+        assert f"{name}: {rule.expected_files}" in str(caught.value)
     with pytest.raises(ValueError, match="layout is 'kity': expected one of 'middlebury', 'kitti'"):
         find_pairs(tmp_path, layout="kity")
 

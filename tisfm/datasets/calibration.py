@@ -112,11 +112,11 @@ def read_calibration(
             "and below it as many numbers"
         )
     names, words = rows
-    unknown = sorted(
+    unknown_names = sorted(
         set(names).difference(_INTRINSIC_NAMES, _DISTORTION_NAMES, [_DEPTH_SCALE_NAME])
     )
-    missing = [name for name in _INTRINSIC_NAMES if name not in names]
-    if unknown or missing or len(set(names)) < len(names):
+    missing_names = [name for name in _INTRINSIC_NAMES if name not in names]
+    if unknown_names or missing_names or len(set(names)) < len(names):
         raise FormatError(
             f"{path} has the heading {' '.join(names)}: expected each of "
             f"{' '.join(_INTRINSIC_NAMES)} once, and optionally "

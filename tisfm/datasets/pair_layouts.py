@@ -178,17 +178,17 @@ def find_new_tsukuba(folder: Path, *, step: int) -> Iterator[DatasetPair]:
     if not poses.is_file():
         return
     frames = find_numbered_files(folder, "rgb_*.png", r"rgb_(\d+)\.png")
-    for first in sorted(frames):
-        if first + step in frames:
+    for number in sorted(frames):
+        if number + step in frames:
             yield DatasetPair(
                 layout="new_tsukuba",
                 dataset=folder.name,
-                name=frames[first].stem,
-                frame0=frames[first],
-                frame1=frames[first + step],
+                name=frames[number].stem,
+                frame0=frames[number],
+                frame1=frames[number + step],
                 pose0=poses,
                 pose1=poses,
-                pose_rows=(first, first + step),
+                pose_rows=(number, number + step),
             )
 
 
@@ -202,15 +202,15 @@ def find_sevenscenes(folder: Path, *, step: int) -> Iterator[DatasetPair]:
     digits = len(next(iter(poses.values())).name) - len("frame-.pose.txt")
     is_part = re.fullmatch(r"seq-\d+", folder.name) is not None
     numbers = poses.keys() | frames.keys()
-    for first in sorted(numbers):
-        if first + step in numbers:
-            stem0, stem1 = (folder / f"frame-{k:0{digits}d}" for k in (first, first + step))
+    for number in sorted(numbers):
+        if number + step in numbers:
+            stem0, stem1 = (folder / f"frame-{k:0{digits}d}" for k in (number, number + step))
             yield DatasetPair(
                 layout="sevenscenes",
                 dataset=f"{folder.parent.name} {folder.name}" if is_part else folder.name,
                 name=stem0.name,
-                frame0=frames.get(first, Path(f"{stem0}.color{suffix}")),
-                frame1=frames.get(first + step, Path(f"{stem1}.color{suffix}")),
+                frame0=frames.get(number, Path(f"{stem0}.color{suffix}")),
+                frame1=frames.get(number + step, Path(f"{stem1}.color{suffix}")),
                 depth=Path(f"{stem0}.depth.png"),
                 pose0=Path(f"{stem0}.pose.txt"),
                 pose1=Path(f"{stem1}.pose.txt"),
@@ -231,8 +231,8 @@ def find_calibrated(folder: Path, *, step: int) -> Iterator[DatasetPair]:
     )
     depth_maps = {file.stem: file for file in find_files(depth_folder, "*.png")}
     has_poses = poses.is_file()
-    for first in range(len(frames) - step):
-        frame0, frame1 = frames[first], frames[first + step]
+    for number in range(len(frames) - step):
+        frame0, frame1 = frames[number], frames[number + step]
         if not has_poses and frame0.stem not in depth_maps:
             continue
         yield DatasetPair(
@@ -244,7 +244,7 @@ def find_calibrated(folder: Path, *, step: int) -> Iterator[DatasetPair]:
             depth=depth_maps.get(frame0.stem),
             pose0=poses if has_poses else None,
             pose1=poses if has_poses else None,
-            pose_rows=(first, first + step) if has_poses else None,
+            pose_rows=(number, number + step) if has_poses else None,
             calibration=camera,
         )
 
@@ -253,7 +253,7 @@ class PairRule(NamedTuple):
     """A layout of pairs."""
 
     find: Callable[..., Iterator[DatasetPair]]  # takes a folder; for sequences also a `step`
-    expected: str  # description of its files, for messages
+    expected_files: str  # description of its files, for messages
     step: int | None = None  # default frames from the first to the second frame, for sequences
 
 

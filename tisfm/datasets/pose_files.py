@@ -66,15 +66,15 @@ def read_poses(
 
 
 def motion_between(
-    # first, second: (4, 4) ndarray, poses, camera to world
-    first: NDArray[np.float64],
-    second: NDArray[np.float64],
+    # first_pose, second_pose: (4, 4) ndarray, poses, camera to world
+    first_pose: NDArray[np.float64],
+    second_pose: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Return the motion of a scene at rest relative to a camera that moves between two poses.
 
     Returns (4, 4) float64, which takes points from the axes of the first camera to the axes of the
     second.
     """
-    motion: NDArray[np.float64] = np.linalg.inv(second) @ first
+    motion: NDArray[np.float64] = np.linalg.inv(second_pose) @ first_pose
     motion[3] = 0, 0, 0, 1  # exactly, without rounding errors
     return motion

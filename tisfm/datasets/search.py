@@ -77,10 +77,10 @@ def find_pairs(
     ]
     if not pairs:
         names = [layout] if layout is not None else list(LAYOUTS)
-        expected = "; ".join(f"{name}: {LAYOUTS[name].expected}" for name in names)
+        expected_files = "; ".join(f"{name}: {LAYOUTS[name].expected_files}" for name in names)
         raise FileNotFoundError(
             f"{root} holds no pair of frames with a truth. tisfm searched it and the folders "
-            f"below for {expected}"
+            f"below for {expected_files}"
         )
     return pairs
 
@@ -213,9 +213,9 @@ def find_sequences(
         if rule.recognises(subfolder)
     ]
     if not sequences:
-        expected = "; ".join(f"{name}: {rule.expected}" for name, rule in rules.items())
+        expected_files = "; ".join(f"{name}: {rule.expected_files}" for name, rule in rules.items())
         raise FileNotFoundError(
             f"{root} holds no sequence whose path or depth is known. tisfm searched it and the "
-            f"folders below for {expected}"
+            f"folders below for {expected_files}"
         )
     return sequences

@@ -186,7 +186,7 @@ class SequenceRule(NamedTuple):
 
     recognises: Callable[[Path], bool]  # whether a folder has this layout
     load: Callable[[Path], LoadedSequence]
-    expected: str  # description of its files, for messages
+    expected_files: str  # description of its files, for messages
     name: Callable[[Path], str] = _folder_name  # name of the sequence in a folder
 
 

@@ -67,7 +67,7 @@ class TrajectoryResult:
             )
         has_pose = np.isfinite(self.poses[:, 0, 0])
         self.piece = np.where(has_pose, 0, -1).astype(np.int32)
-        self.status = ["read" if known else "no pose" for known in has_pose]
+        self.status = ["read" if is_posed else "no pose" for is_posed in has_pose]
 
     def inverse_depth(self, index: int) -> NDArray[np.float32]:
         """Raise ValueError: a trajectory has no depth."""

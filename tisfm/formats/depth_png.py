@@ -52,13 +52,13 @@ def choose_depth_scale(depth: ArrayLike) -> float:
     True
     """
     values = check_unmasked(depth, "depth", np.float64)
-    valid = values[_is_valid(values)]
-    if valid.size == 0:
+    valid_depths = values[_is_valid(values)]
+    if valid_depths.size == 0:
         raise InputError(
             f"depth has no finite positive value among {values.size}: no scale can be "
             "chosen; take the scale of another pair of the sequence"
         )
-    return _MEDIAN_VALUE / float(np.median(valid))
+    return _MEDIAN_VALUE / float(np.median(valid_depths))
 
 
 def write_depth_png(path: str | os.PathLike[str], depth: ArrayLike, *, scale: float) -> None:
@@ -144,9 +144,9 @@ def read_depth_png(
     if scale is not None:
         _check_scale(scale)
     data = read_bytes(name)
-    missing = find_missing_part(data)
-    if missing is not None:
-        raise FormatError(f"{name} is cut off after {len(data)} bytes: {missing} is missing")
+    missing_part = find_missing_part(data)
+    if missing_part is not None:
+        raise FormatError(f"{name} is cut off after {len(data)} bytes: {missing_part} is missing")
     try:
         with Image.open(io.BytesIO(data), formats=["PNG"]) as picture:
             picture.load()

@@ -131,9 +131,9 @@ def _missing_part_of_tiff(data: bytes) -> str | None:
 
     Raises ``struct.error`` or ``OverflowError`` where the directory itself is cut off.
     """
-    values, missing = _tiff_values(data)
-    if missing is not None:
-        return missing
+    values, missing_part = _tiff_values(data)
+    if missing_part is not None:
+        return missing_part
     for offsets_tag, lengths_tag in (_STRIP_TAGS, _TILE_TAGS):
         offsets = values.get(offsets_tag, np.empty(0)).tolist()
         lengths = values.get(lengths_tag, np.empty(0)).tolist()

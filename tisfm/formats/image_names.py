@@ -147,15 +147,15 @@ def sort_by_name(files: Iterable[Path]) -> list[Path]:
     In natural order frame2 comes before frame10. Images of one folder stay together.
     """
     sorted_files = sorted(files, key=natural_sort_key)
-    ordered: list[Path] = []
+    result: list[Path] = []
     for _, group in groupby(sorted_files, key=lambda file: file.parent):
         pictures = list(group)
         times = parse_times([file.stem for file in pictures])
         if times is not None and times.is_inferred:
             time_of_file = dict(zip(pictures, times.seconds, strict=True))
             pictures.sort(key=time_of_file.__getitem__)
-        ordered += pictures
-    return ordered
+        result += pictures
+    return result
 
 
 def natural_sort_key(path: Path) -> tuple[list[tuple[int, int, str]], str]:

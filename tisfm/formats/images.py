@@ -86,9 +86,9 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[Any]:
     """
     name = os.fspath(path)
     data = read_bytes(name)
-    missing = find_missing_part(data)
-    if missing is not None:
-        raise FormatError(f"{name} is cut off after {len(data)} bytes: {missing} is missing")
+    missing_part = find_missing_part(data)
+    if missing_part is not None:
+        raise FormatError(f"{name} is cut off after {len(data)} bytes: {missing_part} is missing")
     if data.startswith(FLOAT_SIGNATURES):
         refuse_large_image(name, data)
     decoded = _check_with_pillow(name, data)

@@ -96,8 +96,8 @@ def write_kitti_flow(path: str | os.PathLike[str], flow: ArrayLike) -> None:
     values = check_real_numbers("flow", flow).astype(np.float64)
     if values.ndim != 3 or values.shape[2] != 2 or values.size == 0:
         raise InputError(f"flow is {values.shape}, expected (H, W, 2) with some pixels")
-    valid = ~np.isnan(values).any(axis=2)
-    valid_flow = values[valid]
+    is_valid = ~np.isnan(values).any(axis=2)
+    valid_flow = values[is_valid]
     levels = np.rint(valid_flow * _VALUES_PER_PX) + _ZERO_VALUE
     is_outside = (levels < 0) | (levels >= 2**16)
     if is_outside.any():
@@ -106,7 +106,7 @@ def write_kitti_flow(path: str | os.PathLike[str], flow: ArrayLike) -> None:
             f"{np.count_nonzero(is_outside.any(axis=1))} pixels, for instance "
             f"{valid_flow[is_outside][0]:g}: set unknown flow to NaN, or write a .flo file"
         )
-    pixels = np.zeros((*valid.shape, 3), np.uint16)
-    pixels[valid, :2] = levels
-    pixels[valid, 2] = 1
+    pixels = np.zeros((*is_valid.shape, 3), np.uint16)
+    pixels[is_valid, :2] = levels
+    pixels[is_valid, 2] = 1
     write_png(path, pixels)

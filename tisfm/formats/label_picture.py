@@ -69,9 +69,9 @@ def has_colour_palette(path: str | os.PathLike[str]) -> bool:
 def _read_complete(name: str) -> bytes:
     """Return the bytes of an image file; FormatError if it is shorter than it states."""
     data = read_bytes(name)
-    missing = find_missing_part(data)
-    if missing is not None:
-        raise FormatError(f"{name} is cut off after {len(data)} bytes: {missing} is missing")
+    missing_part = find_missing_part(data)
+    if missing_part is not None:
+        raise FormatError(f"{name} is cut off after {len(data)} bytes: {missing_part} is missing")
     return data
 
 

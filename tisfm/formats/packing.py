@@ -159,9 +159,9 @@ def _fixed_point(
     """Return the nearest multiples of a step, as int16 if they are small enough, else as int32."""
     is_small = max_magnitude / step < np.iinfo(np.int16).max
     depth, kind = (cv2.CV_16S, np.int16) if is_small else (cv2.CV_32S, np.int32)
-    flat = np.ascontiguousarray(values).reshape(-1, values.shape[-1])
+    flat_values = np.ascontiguousarray(values).reshape(-1, values.shape[-1])
     # OpenCV rounds half to even as NumPy does, several times as fast.
-    multiples = cv2.addWeighted(flat, 1 / step, flat, 0, 0, dtype=depth)
+    multiples = cv2.addWeighted(flat_values, 1 / step, flat_values, 0, 0, dtype=depth)
     return multiples.reshape(values.shape).astype(kind, copy=False)
 
 

@@ -33,8 +33,8 @@ def extract_surface(field: DistanceField, agreeing: int) -> Surface:
     neighbour_numbers = block_numbers(block_coordinates(field.numbers[indices])[:, None] - offsets)
     owners = np.intersect1d(field.numbers, neighbour_numbers)
     vertex_count = 0
-    for first in range(0, len(owners), _BATCH_SIDE**3):
-        batch = _extract_batch(field, owners[first : first + _BATCH_SIDE**3], agreeing)
+    for start in range(0, len(owners), _BATCH_SIDE**3):
+        batch = _extract_batch(field, owners[start : start + _BATCH_SIDE**3], agreeing)
         vertices.append(batch[0])
         edges.append(batch[1])
         faces.append(batch[2] + vertex_count)
@@ -67,8 +67,8 @@ def _extract_batch(
     is_on_voxel = np.abs(positions - nearest_voxels) < _MIN_DISTANCE / 4
     # A vertex between two voxels is off the grid along one axis; other vertices are inside a cell.
     axis = np.where(is_on_voxel.sum(axis=1) == 2, np.argmin(is_on_voxel, axis=1), _INSIDE_CELL)
-    lower = np.where(is_on_voxel, nearest_voxels, np.floor(positions)).astype(np.int64)
-    tile, local = lower // 9, lower % 9
+    lower_voxel = np.where(is_on_voxel, nearest_voxels, np.floor(positions)).astype(np.int64)
+    tile, local = lower_voxel // 9, lower_voxel % 9
     origin = 8 * block_coordinates(
         blocks[(tile[:, 0] * _BATCH_SIDE + tile[:, 1]) * _BATCH_SIDE + tile[:, 2]]
     )
@@ -95,7 +95,7 @@ def _pad_with_neighbours(
             field.views[index] >= agreeing, field.distance[index], np.float32(np.nan)
         )
         (x, y, z), (to_x, to_y, to_z) = (
-            [end if beyond else slice(0, 8) for beyond in offset]
+            [end if is_beyond else slice(0, 8) for is_beyond in offset]
             for end in (slice(0, 1), slice(8, 9))
         )
         values[exists, to_x, to_y, to_z] = distances.reshape(-1, 8, 8, 8)[:, x, y, z]

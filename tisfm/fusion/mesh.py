@@ -156,11 +156,11 @@ def fused_mesh(
     check_scikit_image()
     posed_views = PosedViews(views, max_relative_std=max_relative_std, max_depth=max_depth)
     if not len(posed_views):
-        empty = np.empty((0, 3))
+        empty_array = np.empty((0, 3))
         return Mesh(
-            vertices=empty.astype(np.float32),
-            faces=empty.astype(np.int32),
-            colors=empty.astype(np.uint8),
+            vertices=empty_array.astype(np.float32),
+            faces=empty_array.astype(np.int32),
+            colors=empty_array.astype(np.uint8),
             voxel=float(voxel or 0),
         )
     runtime.start()

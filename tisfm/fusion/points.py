@@ -109,11 +109,11 @@ def fused_points(
     min_views = min(agreeing, len(posed_views))
     points = _PointList()
     for n, view in enumerate(posed_views):
-        others = [
+        other_views = [
             posed_views[other]
             for other in choose_neighbours(n, posed_views.summaries, NEIGHBOUR_COUNT)
         ]
-        points.add(*_agreed_points(view, others, points.shown_pixels(view), min_views))
+        points.add(*_agreed_points(view, other_views, points.shown_pixels(view), min_views))
     if voxel is not None:
         points.thin(voxel / posed_views.unit)
     return PointCloud(
@@ -165,22 +165,22 @@ class _PointList:
     def thin(self, voxel: float) -> None:
         """Replace the points in each cube by their mean, weighted by precision."""
         cubes = np.floor(self.positions / voxel)
-        _, first, cube = np.unique(cubes, axis=0, return_index=True, return_inverse=True)
-        cube, count = cube.ravel(), len(first)
+        _, first_indices, cube = np.unique(cubes, axis=0, return_index=True, return_inverse=True)
+        cube, count = cube.ravel(), len(first_indices)
         weight = 1 / self.relative_deviation.astype(float) ** 2
-        total = np.bincount(cube, weight, count)
+        weight_sum = np.bincount(cube, weight, count)
 
         def mean(values: NDArray) -> NDArray[np.float32]:
-            return (np.bincount(cube, weight * values, count) / total).astype(np.float32)
+            return (np.bincount(cube, weight * values, count) / weight_sum).astype(np.float32)
 
         self.positions = np.stack([mean(axis) for axis in self.positions.T], axis=1)
         self.colors = np.stack([mean(color) for color in self.colors.T], axis=1)
         self.confidence = mean(self.confidence)
-        self.relative_deviation = (1 / np.sqrt(total)).astype(np.float32)
+        self.relative_deviation = (1 / np.sqrt(weight_sum)).astype(np.float32)
 
 
 def _agreed_points(
-    view: PosedDepth, others: Sequence[PosedDepth], is_shown: NDArray[np.bool_], min_views: int
+    view: PosedDepth, other_views: Sequence[PosedDepth], is_shown: NDArray[np.bool_], min_views: int
 ) -> tuple[NDArray[np.float32], ...]:
     """Return the points of a view that enough views agree on: the arguments of `_PointList.add`."""
     from tisfm.kernels.fusion.agreement import compare
@@ -189,16 +189,16 @@ def _agreed_points(
     inverse_depth = np.where(is_candidate, view.inverse_depth, np.float32(0))
     sums = np.zeros((*inverse_depth.shape, 4), np.float32)
     colors = view.colors.copy()
-    for other in others:
+    for other_view in other_views:
         compare(
             inverse_depth,
             view.deviation,
-            other.inverse_depth,
-            other.deviation,
-            other.colors,
+            other_view.inverse_depth,
+            other_view.deviation,
+            other_view.colors,
             sums,
             colors,
-            projection=view.projection_to(other).astype(np.float32),
+            projection=view.projection_to(other_view).astype(np.float32),
             tolerance=MAX_DEVIATIONS,
         )
     agreeing, seeing_through = sums[..., 2], sums[..., 3]

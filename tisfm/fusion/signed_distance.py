@@ -115,9 +115,9 @@ def _find_near_blocks(view: PosedDepth, max_z: float, voxel: float, truncation: 
     from tisfm.kernels.fusion.distance_field import BLOCK_EDGE, CORNERS, find_blocks
 
     edge = BLOCK_EDGE * voxel
-    low, high = _view_bounds(view, max_z + truncation, 2 * voxel)
-    first_block = np.floor(low / edge)
-    extent = np.floor(high / edge) - first_block + 1
+    min_corner, max_corner = _view_bounds(view, max_z + truncation, 2 * voxel)
+    first_block = np.floor(min_corner / edge)
+    extent = np.floor(max_corner / edge) - first_block + 1
     if np.abs([first_block, first_block + extent]).max() >= _OFFSET - 1 or extent.prod() >= 2**31:
         count_factor = np.cbrt(extent.prod() / 2**31)
         range_factor = np.abs([first_block, first_block + extent]).max() / (_OFFSET - 1)
@@ -149,8 +149,8 @@ def _find_near_blocks(view: PosedDepth, max_z: float, voxel: float, truncation: 
         is_first = row_numbers >= 0
         is_first[:, 1:] &= row_numbers[:, 1:] != row_numbers[:, :-1]
         numbers_of_rows.append(np.unique(row_numbers[is_first]))
-    flat = np.unique(np.concatenate(numbers_of_rows)).astype(np.int64)
-    blocks = np.stack([flat // (ny * nz), flat // nz % ny, flat % nz], axis=1)
+    index = np.unique(np.concatenate(numbers_of_rows)).astype(np.int64)
+    blocks = np.stack([index // (ny * nz), index // nz % ny, index % nz], axis=1)
     return np.sort(block_numbers(blocks + first_block.astype(np.int64)))
 
 
@@ -199,7 +199,7 @@ def _blocks_in_frustum(
     view: PosedDepth,
     corners: Floats,  # (N, 3) float64: (u z, v z, z) of the first voxel of each block
     # (3, 3) float64: difference of (u z, v z, z) from the first to the last voxel, along each axis
-    across: Floats,
+    block_extent: Floats,
     truncation: float,
 ) -> NDArray[np.bool_]:
     """Return which blocks may intersect the frustum of a view."""
@@ -208,6 +208,6 @@ def _blocks_in_frustum(
     planes = np.array(  # each is positive inside
         [[1, 0, 0.5], [-1, 0, width - 0.5], [0, 1, 0.5], [0, -1, height - 0.5], [0, 0, 1]]
     )
-    extent = np.maximum(across @ planes.T, 0).sum(axis=0)
+    extent = np.maximum(block_extent @ planes.T, 0).sum(axis=0)
     is_inside = (corners @ planes.T + extent >= 0).all(axis=1)
-    return is_inside & (corners[:, 2] + np.minimum(across[:, 2], 0).sum() <= max_z)
+    return is_inside & (corners[:, 2] + np.minimum(block_extent[:, 2], 0).sum() <= max_z)

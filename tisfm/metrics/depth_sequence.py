@@ -201,11 +201,11 @@ def flicker(
     )
     if not is_same.any():
         return None
-    before = (
+    ratio0 = (
         inverse0[rows[is_same], columns[is_same]] * true_depth0[rows[is_same], columns[is_same]]
     )
-    after = inverse1[target][is_same] * true_depth1[target][is_same]
-    return float(np.abs(after - before).mean() / scale)
+    ratio1 = inverse1[target][is_same] * true_depth1[target][is_same]
+    return float(np.abs(ratio1 - ratio0).mean() / scale)
 
 
 def depth_ratios(inverse_depth: ArrayLike, truth: ArrayLike) -> NDArray[np.float64]:
@@ -260,9 +260,9 @@ class LogMedian:
 
     def median(self) -> float | None:
         """Return the median; None without values."""
-        total = int(self._counts.sum())
-        if not total:
+        count = int(self._counts.sum())
+        if not count:
             return None
         cumulative = np.cumsum(self._counts)
-        low, high = np.searchsorted(cumulative, [(total + 1) // 2, total // 2 + 1])
-        return float(np.exp(((low + high) / 2 + 0.5) * _BIN_WIDTH - _MAX_LOG))
+        lower_bin, upper_bin = np.searchsorted(cumulative, [(count + 1) // 2, count // 2 + 1])
+        return float(np.exp(((lower_bin + upper_bin) / 2 + 0.5) * _BIN_WIDTH - _MAX_LOG))

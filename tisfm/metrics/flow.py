@@ -273,10 +273,10 @@ def _finite_flows(
 ) -> tuple[NDArray, NDArray]:
     """Return estimate and truth at the pixels that count, (n, 2) each."""
     estimate, truth, is_compared = _check_flows(flow, truth, mask)
-    missing = np.count_nonzero(~np.isfinite(estimate[is_compared]).all(axis=-1))
-    if missing:
+    count = np.count_nonzero(~np.isfinite(estimate[is_compared]).all(axis=-1))
+    if count:
         raise InputError(
-            f"flow is not finite at {missing} of the {np.count_nonzero(is_compared)} pixels that "
+            f"flow is not finite at {count} of the {np.count_nonzero(is_compared)} pixels that "
             "count: expected finite flow there, or a mask without them"
         )
     return estimate[is_compared], truth[is_compared]

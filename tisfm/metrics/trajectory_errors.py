@@ -226,8 +226,8 @@ def relative_errors(
     """
     check_whole_numbers(1, step=step)
     estimated_poses, true_poses = _check_both(poses, truth)
-    first = np.arange(max(0, len(estimated_poses) - step))
-    residuals = _residual_motions(estimated_poses, true_poses, first, first + step, scale)
+    begin = np.arange(max(0, len(estimated_poses) - step))
+    residuals = _residual_motions(estimated_poses, true_poses, begin, begin + step, scale)
     if not len(residuals):
         return None
     return RelativeErrors(
@@ -290,8 +290,8 @@ def drift(
     0.1
     """
     estimated_poses, true_poses = _check_both(poses, truth)
-    known = np.flatnonzero(_has_pose(true_poses))
-    distances = _distances_along(true_poses[known])
+    frames = np.flatnonzero(_has_pose(true_poses))
+    distances = _distances_along(true_poses[frames])
     is_short = distances[-1] <= KITTI_LENGTHS[0]
     uses_shares = lengths is None and is_short
     if lengths is None:
@@ -301,17 +301,19 @@ def drift(
     if every is None:
         every = 1 if is_short else KITTI_START_INTERVAL
     check_whole_numbers(1, every=every)
-    starts = np.arange(0, len(known), every)
+    starts = np.arange(0, len(frames), every)
     translations, rotations = [], []
     for length in lengths:
         ends = np.searchsorted(distances, distances[starts] + length, side="right")
-        first, last = starts[ends < len(known)], ends[ends < len(known)]
+        begin, end = starts[ends < len(frames)], ends[ends < len(frames)]
         has_both_ends = (
-            _has_pose(estimated_poses)[known[first]] & _has_pose(estimated_poses)[known[last]]
+            _has_pose(estimated_poses)[frames[begin]] & _has_pose(estimated_poses)[frames[end]]
         )
-        first, last = first[has_both_ends], last[has_both_ends]
-        residuals = _residual_motions(estimated_poses, true_poses, known[first], known[last], scale)
-        divisor = distances[last] - distances[first] if uses_shares else np.full(len(last), length)
+        begin, end = begin[has_both_ends], end[has_both_ends]
+        residuals = _residual_motions(
+            estimated_poses, true_poses, frames[begin], frames[end], scale
+        )
+        divisor = distances[end] - distances[begin] if uses_shares else np.full(len(end), length)
         translations.append(np.linalg.norm(residuals[:, :3, 3], axis=1) / divisor)
         rotations.append(rotation_angles(residuals) / divisor)
     if not sum(map(len, rotations)):
@@ -325,16 +327,16 @@ def drift(
 
 
 def _residual_motions(
-    estimated_poses: NDArray, true_poses: NDArray, first: NDArray, second: NDArray, scale: float
+    estimated_poses: NDArray, true_poses: NDArray, begin: NDArray, end: NDArray, scale: float
 ) -> NDArray[np.float64]:
     """Return (true motion)⁻¹ · motion, (K, 4, 4), of the pairs with all poses."""
     has_both = _has_pose(estimated_poses) & _has_pose(true_poses)
-    is_complete = has_both[first] & has_both[second]
-    first, second = first[is_complete], second[is_complete]
+    is_complete = has_both[begin] & has_both[end]
+    begin, end = begin[is_complete], end[is_complete]
     scaled_poses = estimated_poses.copy()
     scaled_poses[:, :3, 3] *= scale
     motion, true_motion = (
-        np.linalg.solve(path[first], path[second]) for path in (scaled_poses, true_poses)
+        np.linalg.solve(path[begin], path[end]) for path in (scaled_poses, true_poses)
     )
     return np.linalg.solve(true_motion, motion)
 

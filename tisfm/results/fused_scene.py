@@ -130,8 +130,8 @@ def clip_to_box(
     """Return the part inside a box; everything without a box."""
     if box is None:
         return scene
-    low, high = box
-    is_inside = ((scene.positions >= low) & (scene.positions <= high)).all(axis=1)
+    box_min, box_max = box
+    is_inside = ((scene.positions >= box_min) & (scene.positions <= box_max)).all(axis=1)
     faces = None
     if scene.faces is not None:
         numbers = np.cumsum(is_inside, dtype=np.int32) - 1

@@ -225,11 +225,11 @@ class PairFrames:
         """Raise an error if there is no pair, or a pair has no file."""
         if not self.names:
             raise InputError(f"{self.folder} has no complete pair: run again, with --resume")
-        missing = [name for name in self.names if not self._file(name).is_file()]
-        if missing:
+        names = [name for name in self.names if not self._file(name).is_file()]
+        if names:
             reason = "it was removed" if was_written else "--outputs left it out"
             raise FileNotFoundError(
-                f"{self.folder} has no {missing[0]}.npz, which every export needs: {reason}; run "
+                f"{self.folder} has no {names[0]}.npz, which every export needs: {reason}; run "
                 "again with npz among --outputs"
             )
 

@@ -37,30 +37,30 @@ def _find_fault(times: Sequence[float | None]) -> str:
     for number, time in enumerate(times):
         if time is None or not isfinite(time):
             return f"frame {number} has no time"
-    for number, (before, after) in enumerate(pairwise(times), 1):
-        if fault := time_fault(before, after, f"frame {number - 1}", f"frame {number}"):
+    for number, (time0, time1) in enumerate(pairwise(times), 1):
+        if fault := time_fault(time0, time1, f"frame {number - 1}", f"frame {number}"):
             return fault
     return ""
 
 
 def time_fault(
-    # before, after: times of the frames, s
-    before: float | None,
-    after: float | None,
-    # first, second: names of the frames in the text
-    first: str,
-    second: str,
+    # time0, time1: times of the frames, s
+    time0: float | None,
+    time1: float | None,
+    # name0, name1: names of the frames in the text
+    name0: str,
+    name1: str,
 ) -> str:
     """Return why the times of two consecutive frames cannot be used; "" if they can."""
-    if before is None and after is None:
+    if time0 is None and time1 is None:
         return ""
-    if before is None or after is None:
-        return f"{first if before is None else second} has no time"
-    if after > before:
+    if time0 is None or time1 is None:
+        return f"{name0 if time0 is None else name1} has no time"
+    if time1 > time0:
         return ""
-    if after == before:
-        return f"the times of frames repeat: {first} and {second} are both at {after:.9g} s"
-    return f"the times of frames go back: {first} is at {before:.9g} s, {second} at {after:.9g} s"
+    if time1 == time0:
+        return f"the times of frames repeat: {name0} and {name1} are both at {time1:.9g} s"
+    return f"the times of frames go back: {name0} is at {time0:.9g} s, {name1} at {time1:.9g} s"
 
 
 MAX_TIME_DIFFERENCE = 0.02
@@ -101,13 +101,16 @@ def associate(
     >>> first.tolist(), second.tolist()
     ([1], [0])
     """
-    first = check_times(times, len(np.atleast_1d(times)))
-    second = check_times(others, len(np.atleast_1d(others)))
-    if not len(first) or not len(second):
+    checked_times = check_times(times, len(np.atleast_1d(times)))
+    checked_others = check_times(others, len(np.atleast_1d(others)))
+    if not len(checked_times) or not len(checked_others):
         return np.empty(0, np.intp), np.empty(0, np.intp)
-    nearest_other, nearest_time = _nearest_indices(first, second), _nearest_indices(second, first)
-    is_mutual = nearest_time[nearest_other] == np.arange(len(first))
-    is_near = np.abs(first - second[nearest_other]) <= farthest
+    nearest_other, nearest_time = (
+        _nearest_indices(checked_times, checked_others),
+        _nearest_indices(checked_others, checked_times),
+    )
+    is_mutual = nearest_time[nearest_other] == np.arange(len(checked_times))
+    is_near = np.abs(checked_times - checked_others[nearest_other]) <= farthest
     matches = np.flatnonzero(is_mutual & is_near)
     return matches, nearest_other[matches]
 

@@ -65,5 +65,5 @@ def median(values: np.ndarray) -> float:
     """Return the median of values, (N,); faster than NumPy's, which also checks for NaN."""
     middle = len(values) // 2
     partition = np.partition(values, middle)
-    upper = float(partition[middle])
-    return upper if len(values) % 2 else (float(partition[:middle].max()) + upper) / 2
+    upper_middle = float(partition[middle])
+    return upper_middle if len(values) % 2 else (float(partition[:middle].max()) + upper_middle) / 2

@@ -68,12 +68,12 @@ def occlusion(
     if residual is None:
         residual = flow_residual(frame0, frame1, flow, settings, factor=factor, spline1=spline1)
     sums = aligned_empty((*residual.shape, 4))
-    hidden = np.empty(residual.shape, np.int32)
+    is_hidden = np.empty(residual.shape, np.int32)
     splat(flow, residual, sums, any_order=any_order)
     hidden_pixels(
-        flow, residual, sums, hidden, density=MAX_DENSITY, flow_difference=MIN_FLOW_DIFFERENCE
+        flow, residual, sums, is_hidden, density=MAX_DENSITY, flow_difference=MIN_FLOW_DIFFERENCE
     )
-    return hidden.astype(bool) | is_leaving
+    return is_hidden.astype(bool) | is_leaving
 
 
 def pyramid_occlusion(
@@ -94,7 +94,7 @@ def pyramid_occlusion(
     """
     if pyramid.factor != 0.5:
         level = 0
-    hidden = occlusion(
+    is_hidden = occlusion(
         pyramid.frames0[level],
         pyramid.frames1[level],
         flow,
@@ -104,7 +104,7 @@ def pyramid_occlusion(
         is_leaving=is_leaving,
         residual=residual,
     )
-    return hidden if pyramid.masks is None else hidden | pyramid.masks.ignored_pixels(flow)
+    return is_hidden if pyramid.masks is None else is_hidden | pyramid.masks.ignored_pixels(flow)
 
 
 def leaves_image(flow: np.ndarray) -> np.ndarray:
@@ -152,12 +152,12 @@ def _clip_flow(flow: np.ndarray) -> np.ndarray:
     return flow
 
 
-def _residual(frame0: np.ndarray, warped: np.ndarray, settings: Settings) -> np.ndarray:
+def _residual(frame0: np.ndarray, warped1: np.ndarray, settings: Settings) -> np.ndarray:
     """Return the residual of brightness and gradient around every pixel, grey levels.
 
     It is not divided by the image's gradient as in the energy, which would find fewer occlusions.
     """
-    change = cv2.subtract(warped, frame0)
+    change = cv2.subtract(warped1, frame0)
     residual = cv2.multiply(change, change, scale=settings.brightness)
     if settings.gradient > 0:
         slope = np.empty_like(change)
