@@ -37,8 +37,8 @@ class Model:
 
     poses: dict[int, np.ndarray]  # dict of int to (4, 4) float64: camera to world, by frame
     points: TrackPoints  # positions of tracks, in the world
-    # The sum of the scores of its views' matches (`MatchScorer`). It is 0 for a model that
-    # is joined from submaps (models of parts of the sequence) or continues an earlier model.
+    # Sum of the scores of the matches of its views (`MatchScorer`). It is 0 for a model that is
+    # joined from submaps (models of parts of the sequence) or continues an earlier model.
     score: float = 0.0
 
 
@@ -90,13 +90,13 @@ class ViewGraph:
         """
         models = self._build_models(self.pairs, camera, calibrate)
         coverage = Coverage(self.views, self.pairs, self.shape)
-        explained = coverage.explained_matches(models)
-        while models and coverage.explained_area(explained) < MAPPING.min_coverage:
+        explained_matches = coverage.explained_matches(models)
+        while models and coverage.explained_area(explained_matches) < MAPPING.min_coverage:
             unexplained = {
                 **self.pairs,
                 **{
                     pair: self.pairs[pair][~is_explained]
-                    for pair, is_explained in explained.items()
+                    for pair, is_explained in explained_matches.items()
                 },
             }
             unexplained = {
@@ -104,11 +104,11 @@ class ViewGraph:
                 for pair, indices in unexplained.items()
                 if len(indices) >= MAPPING.min_observations
             }
-            others = self._build_models(unexplained, camera, calibrate)
-            others_explained = coverage.explained_matches(others)
-            if coverage.explained_area(others_explained) <= coverage.explained_area(explained):
+            other_models = self._build_models(unexplained, camera, calibrate)
+            other_matches = coverage.explained_matches(other_models)
+            if coverage.explained_area(other_matches) <= coverage.explained_area(explained_matches):
                 break
-            models, explained = others, others_explained
+            models, explained_matches = other_models, other_matches
         return models
 
     def _build_models(
@@ -134,8 +134,8 @@ class ViewGraph:
 
     def score(self, reconstructions: Sequence[Any]) -> float:
         """Return the mean score of the matches in pycolmap's reconstructions, from 0 to 1."""
-        score = MatchScorer(self.views, self.pairs, self.shape)
-        return sum(map(score.score, reconstructions)) / max(score.match_count(), 1)
+        scorer = MatchScorer(self.views, self.pairs, self.shape)
+        return sum(map(scorer.score, reconstructions)) / max(scorer.match_count(), 1)
 
     def match_count(self) -> int:
         """Return the number of matches."""

@@ -89,10 +89,10 @@ def models_from_submaps(
     is_focal_known: bool = True,
 ) -> list[Model]:  # The largest model first. Each view is in at most one model.
     """Find poses of views and points of tracks, as `find_models` does, in bounded memory."""
-    size = max(SUBMAPS.min_group_views, len(views) // SUBMAPS.group_count)
+    group_size = max(SUBMAPS.min_group_views, len(views) // SUBMAPS.group_count)
     spans = submap_spans(len(views))
     builder = SubmapBuilder(
-        views, matches, camera, shape, spans, size, is_focal_known=is_focal_known
+        views, matches, camera, shape, spans, group_size, is_focal_known=is_focal_known
     )
     submaps = builder.build_submaps()
     # Nodes of the graph are groups of views: the first node of each submap, and the number of nodes
@@ -130,7 +130,7 @@ def models_from_submaps(
 
 
 def _edges_within_submaps(submaps: Sequence[Submap], first_nodes: Sequence[int]) -> Iterator[Edge]:
-    """Yield edges between groups of one submap: their coordinates already agree."""
+    """Yield edges between groups of one submap: the coordinates of the groups already agree."""
     for submap, first_node in zip(submaps, first_nodes[:-1], strict=True):
         visibility = submap.visibility
         for first in range(len(submap.groups)):
@@ -154,15 +154,15 @@ def _edges_of_overlaps(
     """Yield edges between groups of submaps with common views, from the tracks of these views."""
     for k, submap in enumerate(submaps):
         for n, other in enumerate(submaps[k + 1 :], start=k + 1):
-            shared = sorted(set(submap.poses) & set(other.poses))
-            if len(shared) < 2:
+            shared_views = sorted(set(submap.poses) & set(other.poses))
+            if len(shared_views) < 2:
                 continue
             tracks, indices, other_indices = np.intersect1d(
                 submap.tracks.tracks, other.tracks.tracks, assume_unique=True, return_indices=True
             )
             points = submap.tracks.positions[indices]
             others = other.tracks.positions[other_indices]
-            centre = submap.view_poses(shared)[:, :3, 3].mean(axis=0)
+            centre = submap.view_poses(shared_views)[:, :3, 3].mean(axis=0)
             distances = np.linalg.norm(points - centre, axis=1)
             fit = fit_sim3_ransac(points, others, distances)
             if fit is None:
@@ -172,10 +172,10 @@ def _edges_of_overlaps(
                 similarity,
                 (points[is_inlier], others[is_inlier]),
                 distances[is_inlier],
-                (submap.view_poses(shared), other.view_poses(shared)),
+                (submap.view_poses(shared_views), other.view_poses(shared_views)),
             )
-            for first, second, common in _group_pairs(submap, other, shared):
-                visible_tracks = [views[view].observations.tracks for view in common]
+            for first, second, common_views in _group_pairs(submap, other, shared_views):
+                visible_tracks = [views[view].observations.tracks for view in common_views]
                 is_shared = is_inlier & np.isin(tracks, np.unique(np.concatenate(visible_tracks)))
                 if is_shared.sum() >= SUBMAPS.min_shared_points:
                     yield _make_edge(
@@ -185,14 +185,14 @@ def _edges_of_overlaps(
 
 
 def _group_pairs(
-    submap: Submap, other: Submap, shared: Sequence[int]
+    submap: Submap, other: Submap, shared_views: Sequence[int]
 ) -> Iterator[tuple[int, int, list[int]]]:
     """Yield pairs of groups of two submaps, with their common views."""
     for first, views in enumerate(submap.groups):
         for second, others in enumerate(other.groups):
-            common = sorted(set(shared).intersection(views, others))
-            if common:
-                yield first, second, common
+            common_views = sorted(set(shared_views).intersection(views, others))
+            if common_views:
+                yield first, second, common_views
 
 
 def _edges_of_loops(
@@ -222,8 +222,12 @@ def _edges_of_loops(
                 ).append((points[has_positions], others[has_positions], distances))
     for (first, second), parts in sorted(parts_of_edges.items()):
         points, others, distances = map(np.concatenate, zip(*parts, strict=True))
-        _, unique = np.unique(np.hstack([points, others]), axis=0, return_index=True)
-        points, others, distances = points[unique], others[unique], distances[unique]
+        _, unique_indices = np.unique(np.hstack([points, others]), axis=0, return_index=True)
+        points, others, distances = (
+            points[unique_indices],
+            others[unique_indices],
+            distances[unique_indices],
+        )
         fit = fit_sim3_ransac(points, others, distances)
         if fit is not None:
             similarity, is_inlier = fit
@@ -274,9 +278,12 @@ def _merge_poses(
         for view, pose in submap.poses.items():
             end_weight = min(view - begin + 1, end - view)  # small near both ends of the submap
             position = float(np.interp(view, middles, np.arange(len(middles))))
-            low = min(int(position), len(middles) - 1)
-            high = min(low + 1, len(middles) - 1)
-            for group, weight in ((low, 1 - position + low), (high, position - low)):
+            lower_group = min(int(position), len(middles) - 1)
+            upper_group = min(lower_group + 1, len(middles) - 1)
+            for group, weight in (
+                (lower_group, 1 - position + lower_group),
+                (upper_group, position - lower_group),
+            ):
                 if weight > 0:
                     weighted_poses.setdefault(view, []).append(
                         (transform_pose(group_similarities[group], pose), weight * end_weight)

@@ -61,7 +61,7 @@ class TrackSettings:
     min_loop_matches: int = 25  # matches that one motion explains, of two views at a loop
     min_loop_share: float = 0.4  # share of these matches among all matches of the two views
     min_ordered_views: int = 8  # views: with fewer, the order of frames is not checked
-    # Frames are out of order if at most this share of views matches the previous view, and more
+    # Frames are out of order if less than this share of views matches the previous view, and more
     # than `min_other_share` of the views match other views.
     max_next_share: float = 0.4
     min_other_share: float = 0.7  # share of views: see `max_next_share`

@@ -114,7 +114,7 @@ class ViewSelection:
                 )
 
     def drop_first(self, count: int) -> None:
-        """Drop the first views."""
+        """Drop the first `count` views: the indices of the other views decrease by `count`."""
         if isinstance(self.views, DiskCache) or isinstance(self._descriptors, DiskCache):
             raise InputTypeError("views are stored on disk: they cannot be dropped")
         del self.views[:count], self._descriptors[:count]
@@ -127,7 +127,7 @@ class ViewSelection:
         self._tested_pairs = {(i - count, k - count) for i, k in self._tested_pairs if i >= count}
 
     def is_out_of_order(self) -> bool:
-        """Return whether most views match other views, but not the previous one."""
+        """Return whether most views match other views, but not the previous view."""
         count = len(self.views)
         if count < TRACKS.min_ordered_views:
             return False
@@ -154,6 +154,7 @@ class ViewSelection:
         min_matches: int,
         min_share: float,
     ) -> None:
+        """Match two views by appearance; store the matches if enough of them fit one motion."""
         self._tested_pairs.add((earlier, later))
         first, second = (
             self._descriptors[earlier].to_features(),
