@@ -23,8 +23,8 @@ def horn_schunck(
 ) -> np.ndarray:
     """Estimate optical flow with a quadratic, isotropic smoothness term.
 
-    Pyramid, warping, derivatives and solver are those of `tisfm.interpret`. The unknown is the flow
-    itself. All pairs of neighbouring pixels have the same weight of smoothness.
+    Pyramid, warping, derivatives and solver are the same as in `tisfm.interpret`. The unknown is
+    the flow itself. All pairs of neighbouring pixels have the same weight of smoothness.
 
     Parameters
     ----------

@@ -29,9 +29,9 @@ class Interpretation:
         Relative inverse depth, in the inverse unit of T. For ``motion="field"`` it is ‖τ‖
         (eq. 24), with ‖T‖ = 1: correct if the scene translates parallel to the image plane; for
         other motions see docs/trust.md. For ``motion="camera"`` it is signed; T has length 1, or
-        the length of the translation in a given pose. For ``"objects"`` the unit is that of each
-        label's own T. 0 where the frames do not show depth: everywhere if the status says so, or on
-        a background without parallax.
+        the length of the translation in a given pose. For ``"objects"`` each label has the unit of
+        its own T. 0 where the frames do not show depth: everywhere if the status says so, or on a
+        background without parallax.
     inverse_depth_std : (H, W) float32 or None
         Standard deviation of the inverse depth: of the pixels visible in frame 1, about 68% have
         a smaller error. Infinite where there is no depth, never 0. None for ``motion="field"``.

@@ -206,7 +206,7 @@ def _read_packings(file: NpzFile, about: Any) -> dict[str, Packing]:
 
 
 def _refuse_too_many_pixels(file: NpzFile, frame_shape: tuple[int, ...]) -> None:
-    """Refuse a small file with a huge frame, whose size determines that of all arrays."""
+    """Refuse a small file with a huge frame: the size of the frame is the size of all maps."""
     pixels = frame_shape[0] * frame_shape[1]
     if pixels > max(_MAX_PIXELS, file.length):
         raise InputError(f"it has {pixels:,} pixels packed in {file.length:,} bytes")

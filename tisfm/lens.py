@@ -1,4 +1,4 @@
-"""Removal of lens distortion: frames are resampled to those of a pinhole camera."""
+"""Removal of lens distortion: frames are resampled to frames of a pinhole camera."""
 
 import cv2
 import numpy as np

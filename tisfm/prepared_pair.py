@@ -48,7 +48,7 @@ def prepare_pair(
     scales_unit_range: bool,
     known_pose: KnownPose | None = None,
 ) -> PreparedPair:
-    """Return a pair ready for interpretation; the arguments are those of `interpret_pair`."""
+    """Return a pair ready for interpretation; the arguments are as for `interpret_pair`."""
     grey0, grey1 = grey_pair(frame0, frame1, scales_unit_range=scales_unit_range)
     frame = to_eight_bit(frame0, frame1, scales_unit_range=scales_unit_range)
     valid_pixels = _used_pixels(ignored, grey0.shape)
@@ -124,7 +124,7 @@ def _used_pixels(
         if not used_in_frame.any():
             raise InputError(
                 f"mask is black at all pixels of {name}, so no pixel is left: black pixels "
-                "are ignored, white ones count"
+                "are ignored, white pixels are used"
             )
     return used0, used1
 

@@ -82,7 +82,7 @@ def rigid_twist(rotation: ArrayLike, translation: ArrayLike) -> Floats:
     Raises
     ------
     ValueError
-        If the arguments are not finite numbers of those shapes.
+        If the arguments are not finite numbers of these shapes.
 
     Examples
     --------

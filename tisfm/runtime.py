@@ -52,8 +52,8 @@ def start(
     Parameters
     ----------
     arch : {"cpu", "cuda", "vulkan", "metal"}, optional
-        Where kernels run. By default the arch of a running Taichi, or else that of Taichi's
-        environment variable TI_ARCH, or else "cpu".
+        Where kernels run. By default the arch of a running Taichi, or else the value of
+        Taichi's environment variable TI_ARCH, or else "cpu".
     threads : int, optional
         Maximum number of CPU threads. By default, and at most, the number of cores. It does not
         change results.

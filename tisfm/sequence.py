@@ -68,7 +68,7 @@ def interpret_sequence(
         made of the frames before and after it.
     poses : iterable of (4, 4) or (3, 3) arrays, optional
         A known motion for every pair, as `pose` for `tisfm.interpret`: from the axes of its first
-        frame to those of its second. The iterable may be a generator, and may be endless.
+        frame to the axes of its second. The iterable may be a generator, and may be endless.
     mask : path, array, sequence of paths, or iterable of arrays, optional
         Pixels to use, as for `tisfm.interpret`: black, zero or False pixels are ignored. Either a
         picture or an (H, W) array for all frames, or one mask for every frame of the source,
@@ -179,7 +179,7 @@ def _interpret_pairs(
             camera, is_first = camera or result.camera, False  # the guess of the first pair is kept
             del pair  # frees its first frame before the next frame is read
             yield result
-            del result  # its frame may be that of the source
+            del result  # its frame may be the array of the source
     _warn_of_skipped(source, warned_count)
 
 

@@ -159,7 +159,7 @@ class GlobalShutterFrameMap(GlobalShutterMap):
     """`GlobalShutterMap` of a frame of a sequence.
 
     The whole frame is assumed to have one depth. The correction for the camera's rotation is exact;
-    the correction for its translation is that of a point at this depth.
+    the correction for its translation is exact for points at this depth.
     """
 
     def __init__(

@@ -31,8 +31,8 @@ class Status(str):
     - ``"diverged"``: the numbers are useless. Somewhere the image motion exceeds half of the longer
       side of the image, or more than half of the pixels leave the image. If matched points, a 4×4
       pose or the images confirm a large motion, the limits are the whole side and 80 %.
-    - ``"unrelated"``: the frames have nothing in common, or some parts are alike and at rest while
-      the others differ.
+    - ``"unrelated"``: the frames have nothing in common, or some parts are static and the same
+      while the other parts differ.
     - ``"aperture"``: the frames vary along one direction only, so motion along their stripes cannot
       be seen. No depth. Does not occur with a 4×4 pose.
 

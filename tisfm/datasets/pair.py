@@ -49,14 +49,14 @@ class LoadedPair:
         True depth Z of frame 0, in the unit of the dataset, NaN where unknown; with the distortion
         of the camera, if it has any. None if the dataset has no depth.
     pose : (4, 4) float64 ndarray or None
-        True motion (R, t; 0, 1) of the scene at rest, from the camera axes of frame 0 to those of
-        frame 1, in the unit of the dataset. None if unknown.
+        True motion (R, t; 0, 1) of the static scene, from the camera axes of frame 0 to the axes
+        of frame 1, in the unit of the dataset. None if unknown.
     pose_given : bool
         Whether `pose` is an input of the interpretation, as for a rectified stereo pair.
     occlusion : (H, W) bool ndarray or None
         True where a point of frame 0 with known motion is not visible in frame 1. None if unknown.
     sky : (H, W) bool ndarray or None
-        True in the sky, whose motion is not that of the scene; None if unknown.
+        True in the sky, which does not move as the scene does; None if unknown.
     camera : Camera or None
         The camera of frame 0; None if unknown.
 

@@ -70,7 +70,7 @@ def motion_between(
     first_pose: NDArray[np.float64],
     second_pose: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the motion of a scene at rest relative to a camera that moves between two poses.
+    """Return the motion of a static scene relative to a camera that moves between two poses.
 
     Returns (4, 4) float64, which takes points from the axes of the first camera to the axes of the
     second.

@@ -161,7 +161,9 @@ def _find_pictures(folder: Path) -> Sequence[Path]:
         if file.suffix.lower() in IMAGE_SUFFIXES and not file.name.startswith(".")
     ]
     if not files:
-        raise FileNotFoundError(f"the folder {folder} has no pictures: expected a mask for a frame")
+        raise FileNotFoundError(
+            f"the folder {folder} has no pictures: expected a mask for every frame"
+        )
     return sort_by_name(files)
 
 

@@ -107,7 +107,7 @@ def evaluate(
     pairs : iterable of DatasetPair
         For example from `tisfm.datasets.find_pairs`. Duplicates are evaluated once.
     camera : Camera, optional
-        Camera of every pair; by default that of the dataset, or else `Camera()`.
+        Camera of every pair; by default the camera of the dataset, or else `Camera()`.
     settings : Settings, optional
         By default the preset "balanced".
     give_poses : bool
@@ -150,7 +150,7 @@ def evaluate(
     if camera is not None:
         if not isinstance(camera, Camera):
             raise InputTypeError(f"camera is {camera!r}: expected a tisfm.Camera, or None")
-        check_pinhole(camera, "the true flow is that of the frames as they are")
+        check_pinhole(camera, "the true flow belongs to the frames without resampling")
     settings = check_settings(settings)
     if give_poses and settings.motion != "camera":
         raise InputError(
@@ -275,7 +275,7 @@ def _errors_outside(
 
 
 def _compare_occlusion(occlusion: np.ndarray, loaded: LoadedPair) -> OcclusionScores | None:
-    """Compare a map of occlusion with that of the dataset; return None if it has no map."""
+    """Compare an occlusion map with the map of the dataset; return None if it has no map."""
     if loaded.flow is None or loaded.occlusion is None:
         return None
     has_truth = np.isfinite(loaded.flow).all(axis=-1)

@@ -56,7 +56,7 @@ class TrajectoryResult:
                 unit = "numbers of frames" if loaded.times is None else "s"
                 raise InputError(
                     f"{source} has no pose of any frame: its times begin at "
-                    f"{trajectory.times[0]:g}, those of the frames at {times[0]:g} ({unit})"
+                    f"{trajectory.times[0]:g}, the times of the frames at {times[0]:g} ({unit})"
                 )
             self.poses = np.full((count, 4, 4), np.nan)
             self.poses[frame_indices] = trajectory.poses[pose_indices]

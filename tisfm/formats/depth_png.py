@@ -30,7 +30,7 @@ def choose_depth_scale(depth: ArrayLike) -> float:
     Parameters
     ----------
     depth : array_like
-        Depths in any unit; those that are not finite and positive are ignored.
+        Depths in any unit; values that are not finite and positive are ignored.
 
     Returns
     -------

@@ -68,7 +68,7 @@ def parse_times(
     ``12.5`` may be 12.5 s (a printed float), 12 s and 5 ns (ROS, printed without leading zeros), or
     the fifth image of the twelfth take. A leading zero after the point excludes nanoseconds and
     takes, and a trailing zero excludes a float. A median step below 0.1 ms excludes times. Of the
-    remaining notations, the one with the most even steps is used. Numbers right behind a letter, as
+    remaining notations, the notation with the most even steps is used. Numbers behind a letter, as
     in ``t0.05``, are times only if their steps are even. Floats may have a minus or an exponent.
     """
     if len(stems) < 2:

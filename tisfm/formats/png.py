@@ -20,8 +20,8 @@ SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _GREY_TYPE = 0  # colour type of the header
 _COLOUR_TYPE = 2  # colour type of the header
 _UP_FILTER = 2  # filter type: the difference of each byte from the byte above it
-# Of ISA-L's levels 0 to 3: its files are a fifth smaller than those of level 0, and hardly larger
-# than those of 2 and 3.
+# Of ISA-L's levels 0 to 3: files are a fifth smaller than with level 0, and hardly larger than with
+# levels 2 and 3.
 _COMPRESSION_LEVEL = 1
 _MAX_CHUNK = 2**30  # bytes; the format allows 2³¹ - 1
 

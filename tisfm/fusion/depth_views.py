@@ -53,8 +53,8 @@ class DepthView:
             raise InputTypeError(f"frame is {frame.dtype}: expected uint8")
         if frame.shape not in (inverse_depth.shape, (*inverse_depth.shape, 3)):
             raise InputError(
-                f"frame is {frame.shape}: expected {inverse_depth.shape}, that of inverse_depth, "
-                "with three colours or none"
+                f"frame is {frame.shape}: expected {inverse_depth.shape}, the shape of "
+                "inverse_depth, with three colours or none"
             )
         if not isinstance(self.camera, Camera):
             raise InputTypeError(f"camera is {self.camera!r}: expected a tisfm.Camera")
@@ -116,7 +116,7 @@ class ViewSummary:
 class PosedViews:
     """Views that are read when they are needed; the views used last stay in memory.
 
-    Views without a pose, or without usable depth, are left out: `len` and indices are those of the
+    Views without a pose, or without usable depth, are left out: `len` and indices count only the
     other views. The unit of length is the median of the median depths of the views, so that numbers
     are near 1.
 

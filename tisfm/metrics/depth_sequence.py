@@ -141,7 +141,7 @@ def flicker(
     first, second : (array_like, array_like), each of shape (H, W)
         Estimated inverse depth and true depth of two frames.
     motion : array_like, shape (4, 4)
-        True motion from the axes of the first camera to those of the second, in the unit of the
+        True motion from the axes of the first camera to the axes of the second, in the unit of the
         true depth.
     focal : float
         Focal length, px.

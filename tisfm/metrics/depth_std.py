@@ -61,7 +61,7 @@ def error_in_deviations(
 ) -> NDArray[np.float64]:  # (M,) float64 ndarray: at least 0
     """Return the error of inverse depth in standard deviations, for the pixels that count.
 
-    Parameters and exceptions are those of `std_coverage`. The result is 0 for an infinite deviation
+    Parameters and exceptions are as for `std_coverage`. The result is 0 for an infinite deviation
     and NaN for a deviation of NaN.
     """
     estimate = check_unmasked(inverse_depth, "inverse_depth", np.float64)

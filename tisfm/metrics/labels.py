@@ -104,10 +104,10 @@ def label_scores(
     ----------
     labels, truth : iterable of array_like, shape (H, W)
         For each frame the label and the true object id of each pixel, integers from 0 to 255, or
-        booleans; 0 is the background at rest. Both are read once, frame by frame.
+        booleans; 0 is the static background. Both are read once, frame by frame.
     least : float, default 0.5
         Intersection over union from which a label follows an object in a frame. Of several such
-        labels, possible below 0.5, the one that covers most of the object follows it.
+        labels, possible below 0.5, the label that covers most of the object follows it.
 
     Returns
     -------

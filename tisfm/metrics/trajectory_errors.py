@@ -22,7 +22,7 @@ LENGTH_SHARES = tuple(0.1 * k for k in range(1, 9))
 
 @dataclass(frozen=True, kw_only=True)
 class AbsoluteErrors:
-    """Absolute trajectory errors (ATE): distances of camera centres from the true ones.
+    """Absolute trajectory errors (ATE): distances of camera centres from the true centres.
 
     Attributes
     ----------
@@ -139,7 +139,7 @@ def path_length(truth: ArrayLike) -> float:
 
 
 def absolute_errors(poses: ArrayLike, truth: ArrayLike) -> AbsoluteErrors:
-    """Compare the centres of a camera with the true ones, after an alignment.
+    """Compare the centres of a camera with the true centres, after an alignment.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def absolute_errors(poses: ArrayLike, truth: ArrayLike) -> AbsoluteErrors:
 def relative_errors(
     poses: ArrayLike, truth: ArrayLike, *, step: int = 1, scale: float = 1.0
 ) -> RelativeErrors | None:
-    """Compare the motions from frame i to frame i + `step` with the true ones.
+    """Compare the motions from frame i to frame i + `step` with the true motions.
 
     Parameters
     ----------

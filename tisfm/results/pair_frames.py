@@ -253,7 +253,7 @@ def _camera_of(record: dict[str, Any]) -> Camera:
 def _motion_of(pair: Any) -> tuple[NDArray[np.float64], float] | None:
     """Return the motion of a pair, (4, 4), and the length of its translation over the twist's.
 
-    A twist has length 1. Given poses have their own lengths, whose unit is that of depth.
+    The translation of a twist has length 1. The translation of a given pose has the unit of depth.
     """
     motions, twists = pair.get("motions"), pair.get("twists")
     if not motions or not twists:

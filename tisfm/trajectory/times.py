@@ -116,7 +116,7 @@ def associate(
 
 
 def _nearest_indices(times: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return the index in `others` nearest to each time; of two equally near ones the earlier."""
+    """Return the index in `others` nearest to each time; of two equally near times the earlier."""
     later = np.searchsorted(others, times).clip(1, len(others) - 1) if len(others) > 1 else None
     if later is None:
         return np.zeros(len(times), np.intp)

@@ -25,8 +25,8 @@ _FIVE_TAP = np.array([[1, -8, 0, 8, -1]], np.float32) / 12
 
 def occlusion(
     # frame0, frame1: (h, w) float32, grey levels on the 8-bit scale, smoothed as the settings say.
-    # They have the size of the flow, or that of a coarser level of the pyramid, which then gives
-    # the residuals.
+    # They have the size of the flow, or the size of a coarser level of the pyramid: the residuals
+    # are then computed on that level.
     frame0: np.ndarray,
     frame1: np.ndarray,
     # (2, H, W) float32: (u, v), px/frame. A pixel whose flow is not finite counts as leaving the
@@ -130,7 +130,7 @@ def flow_residual(
 ) -> np.ndarray:
     """Return the residual of brightness and gradient for a flow, grey levels: (H, W) float32.
 
-    The arguments are those of `occlusion`. The residual is computed at the size of the frames.
+    The arguments are as for `occlusion`. The residual is computed at the size of the frames.
     """
     flow = _clip_flow(flow)
     if factor == 1:
