@@ -34,9 +34,9 @@ from tisfm.settings import Preset
 
 # Package → module, for the packages that run the benchmarks.
 RUNNERS = {"pytest": "pytest", "pytest-benchmark": "pytest_benchmark", "pytest-xdist": "xdist"}
-FAILED = 1  # exit code of pytest if a test failed
-DISAGREED = "an answer disagreed with the reference, or a benchmark failed: see above"
-FULL = {
+PYTEST_FAILED = 1  # exit code of pytest if a test failed
+DISAGREEMENT_TEXT = "an answer disagreed with the reference, or a benchmark failed: see above"
+FULL_OPTIONS = {
     "sizes": ["240x320", "480x640", "1080x1920"],
     "threads": [1, 2],
     "lanes": ",".join(map(str, dict.fromkeys((LANES, 8, 1)))),
@@ -46,7 +46,7 @@ FULL = {
     "contests": False,
     "output": "full",
 }
-SMOKE = FULL | {
+SMOKE_OPTIONS = FULL_OPTIONS | {
     "sizes": ["96x128"],
     "lanes": str(LANES),
     "seconds": 0.05,
@@ -54,7 +54,7 @@ SMOKE = FULL | {
     "contests": True,
     "output": "smoke",
 }
-BARS = FULL | {
+BAR_OPTIONS = FULL_OPTIONS | {
     "sizes": [f"{height}x{width}" for height, width in (PAIR_SIZE, SIZE, LARGE)],
     "threads": [THREADS],
     "lanes": str(LANES),
@@ -80,7 +80,9 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--output", metavar="NAME", help="name of the files in bench/results")
     options = parser.parse_args(arguments)
     options.memory = options.contests = False if options.only else None
-    for name, value in (SMOKE if options.smoke else BARS if options.bars else FULL).items():
+    for name, value in (
+        SMOKE_OPTIONS if options.smoke else BAR_OPTIONS if options.bars else FULL_OPTIONS
+    ).items():
         if getattr(options, name, None) is None:
             setattr(options, name, value)
     # Kernels have one lane on a GPU; memory, bars and contests are for the CPU.
@@ -117,12 +119,12 @@ def run_benchmarks(options: argparse.Namespace, threads: int, report: Path) -> i
 
 def fault_of(code: int) -> str:
     """Return the fault of an exit code of pytest in words; "" for 0."""
-    if code == FAILED:
-        return DISAGREED
+    if code == PYTEST_FAILED:
+        return DISAGREEMENT_TEXT
     return f"pytest did not run the benchmarks (exit code {code}): see above" if code else ""
 
 
-def smoke_contests() -> bool:
+def run_smoke_contests() -> bool:
     """Run small contests of peers and of changed settings; return whether both succeeded."""
     commands = (["bench.peers"], ["bench.ablation", "--preset", "fast", "--only", "warp"])
     return all(
@@ -161,16 +163,22 @@ def main(arguments: list[str] | None = None) -> int:
 
     results = collect(reports, memory)
     # Without --bars, the bars of all measured figures are shown.
-    checked = [bar for bar in bars(results) if options.bars or bar.value is not None]
+    shown_bars = [bar for bar in bars(results) if options.bars or bar.value is not None]
     console = wide_console()
     show(results, console)
-    for bar in checked:
+    for bar in shown_bars:
         console.print(str(bar), highlight=False)
-    write_markdown(results, RESULTS / f"{options.output}.md", notes=[str(bar) for bar in checked])
-    contested = smoke_contests() if options.contests else True
+    write_markdown(
+        results, RESULTS / f"{options.output}.md", notes=[str(bar) for bar in shown_bars]
+    )
+    are_contests_complete = run_smoke_contests() if options.contests else True
     for fault in dict.fromkeys(filter(None, faults)):
         console.print(fault, highlight=False)
-    return 0 if not any(faults) and contested and all(bar.met for bar in checked) else 1
+    return (
+        0
+        if not any(faults) and are_contests_complete and all(bar.is_met for bar in shown_bars)
+        else 1
+    )
 
 
 if __name__ == "__main__":

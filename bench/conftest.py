@@ -80,9 +80,9 @@ def measure(benchmark, request):
         benchmark.extra_info.update(label, threads=option("threads"))
         if not warm:
             return benchmark.pedantic(call)
-        started = time.perf_counter()
+        start_time = time.perf_counter()
         call()
-        once = time.perf_counter() - started
+        once = time.perf_counter() - start_time
         rounds = min(max(round(option("seconds") / once), 3 if once < SLOW else 1), 200)
         return benchmark.pedantic(call, rounds=rounds)
 

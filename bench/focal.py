@@ -88,11 +88,11 @@ def measure(pair: SyntheticPair, kind: str, ratio: float, preset: Preset) -> Out
     """Interpret a scene with a multiple of its focal length, as one motion and as a field."""
     camera = tisfm.Camera(focal=pair.camera.focal * ratio, center=pair.camera.center)
 
-    def interpreted(motion: Motion) -> tisfm.Interpretation:
+    def interpret_as(motion: Motion) -> tisfm.Interpretation:
         settings = Settings.preset(preset, motion=motion)
         return tisfm.interpret(pair.frame0, pair.frame1, camera=camera, settings=settings)
 
-    single, field = interpreted("camera"), interpreted("field")
+    single, field = interpret_as("camera"), interpret_as("field")
     has_depth = single.status not in LITTLE_PARALLAX_STATUSES and single.motions is not None
     exact = two_stage(pair.flow, camera, threshold=EXACT_THRESHOLD)
     errors = None
@@ -141,14 +141,18 @@ def tables(outcomes: Sequence[Outcome]) -> list[str | Table]:
 
 def finding(outcomes: Sequence[Outcome]) -> str:
     """Return sentences on the paper's pair of focal lengths, and on all ratios."""
-    at = {(o.kind, o.focal, round(o.ratio, 3)): o for o in outcomes}
+    by_case = {(o.kind, o.focal, round(o.ratio, 3)): o for o in outcomes}
     kinds = list(dict.fromkeys(o.kind for o in outcomes))
     sentences = []
     for focal, ratio in PAPER:
         keys = [((kind, focal, 1.0), (kind, focal, round(ratio, 3))) for kind in kinds]
-        compared = [(at[right], at[wrong]) for right, wrong in keys if right in at and wrong in at]
-        if compared:
-            sentences.append(_comparison(compared))
+        outcome_pairs = [
+            (by_case[right], by_case[wrong])
+            for right, wrong in keys
+            if right in by_case and wrong in by_case
+        ]
+        if outcome_pairs:
+            sentences.append(_comparison(outcome_pairs))
     rotating = [o for o in outcomes if "rotation" in o.kind and o.offset is not None]
     if rotating:
         low, high = (pick(rotating, key=lambda o: o.offset or 0.0) for pick in (min, max))
@@ -162,7 +166,9 @@ def finding(outcomes: Sequence[Outcome]) -> str:
             "true flow."
         )
     for name, title in (("field_flow", "flow"), ("field_abs_rel", "depth, by eq. 24,")):
-        factors = [getattr(o, name) / getattr(at[o.kind, o.focal, 1.0], name) for o in outcomes]
+        factors = [
+            getattr(o, name) / getattr(by_case[o.kind, o.focal, 1.0], name) for o in outcomes
+        ]
         sentences.append(
             f"The field's {title} changes its error by factors of {min(factors):.2f} to "
             f"{max(factors):.2f} over all ratios."
@@ -170,11 +176,11 @@ def finding(outcomes: Sequence[Outcome]) -> str:
     return " ".join(sentences)
 
 
-def _comparison(compared: Sequence[tuple[Outcome, Outcome]]) -> str:
+def _comparison(outcome_pairs: Sequence[tuple[Outcome, Outcome]]) -> str:
     """Return which scenes keep their error of depth at the second focal length."""
     unaffected: list[str] = []
     affected: list[str] = []
-    for right, wrong in compared:
+    for right, wrong in outcome_pairs:
         if right.abs_rel is None or wrong.abs_rel is None:
             affected.append(f"{right.kind} ({right.status} → {wrong.status})")
             continue
@@ -183,8 +189,8 @@ def _comparison(compared: Sequence[tuple[Outcome, Outcome]]) -> str:
         text += f"{right.rotation:.3f}° → {wrong.rotation:.3f}°)"
         (unaffected if wrong.abs_rel <= UNAFFECTED_RATIO * right.abs_rel else affected).append(text)
     return (
-        f"{_focal_lengths(compared[0][1])}: abs-rel is at most {UNAFFECTED_RATIO - 1:.0%} worse "
-        f"in {', '.join(unaffected) or 'no scene'}; it is worse than that in "
+        f"{_focal_lengths(outcome_pairs[0][1])}: abs-rel is at most {UNAFFECTED_RATIO - 1:.0%} "
+        f"worse in {', '.join(unaffected) or 'no scene'}; it is worse than that in "
         f"{', '.join(affected) or 'no scene'}."
     )
 

@@ -29,7 +29,7 @@ MIN_PAIR_RATIO = 50.0  # time of the reference's pair over the library's
 MAX_FLOATS_PER_PIXEL = 60.0  # float32 per pixel, peak memory
 # This preset has no bound of memory: its regulariser has 12 weights per pixel, other presets have
 # 2, and its cycles keep coarser levels of the whole system.
-UNBOUNDED = "paper"
+PRESET_WITHOUT_MEMORY_BOUND = "paper"
 
 # Value of pytest -k that selects the benchmarks with bounds.
 _AT_PAIR_SIZE = f"{PAIR_SIZE[0]}x{PAIR_SIZE[1]}"
@@ -233,13 +233,13 @@ def bars(results: Results) -> Iterator[Bar]:
     yield Bar(name, row.ratio if row else None, MIN_PAIR_RATIO, at_most=False)
     for preset in get_args(Preset):
         name = f"memory at 1080x1920, {preset}, float32 per pixel"
-        bound = None if preset == UNBOUNDED else MAX_FLOATS_PER_PIXEL
+        bound = None if preset == PRESET_WITHOUT_MEMORY_BOUND else MAX_FLOATS_PER_PIXEL
         yield Bar(name, results.memory.get(preset), bound)
 
 
 def _find_row(results: Results, kernel: str, solver: str, size: tuple[int, int]) -> Row | None:
-    sought = kernel, "rigid", solver, size, THREADS, LANES
+    key = kernel, "rigid", solver, size, THREADS, LANES
     for row in results.rows:
-        if (row.kernel, row.model, row.solver, row.size, row.threads, row.lanes) == sought:
+        if (row.kernel, row.model, row.solver, row.size, row.threads, row.lanes) == key:
             return row
     return None

@@ -40,7 +40,7 @@ FOCAL = 600 / 640  # as a share of the width
 RELAXATIONS = (1.0, 1.5, 1.9, 1.95)
 SWEEPS = (1, 2, 4, 8, 12, 16, 20, 24, 32, 40, 50, 64, 80, 100, 128, 160, 200)
 CYCLES = 12  # of multigrid
-CONVERGED = 30  # cycles with conjugate gradients that give the minimum
+CONVERGED_CYCLES = 30  # cycles with conjugate gradients that give the minimum
 GAPS = (1e-2, 1e-3, 1e-4, 1e-5)
 BUDGET = 16.0  # sweeps
 ROUNDS = 9  # timed calls of each step
@@ -75,8 +75,8 @@ class System:
 
     def __init__(self, pair: FlowPair, size: tuple[int, int]) -> None:
         height, width = size
-        smaller = width < pair.frame0.shape[1]
-        interpolation = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
+        is_smaller = width < pair.frame0.shape[1]
+        interpolation = cv2.INTER_AREA if is_smaller else cv2.INTER_LINEAR
         frame0, frame1 = (
             cv2.resize(grey, (width, height), interpolation=interpolation)
             for grey in grey_pair(pair.frame0, pair.frame1)
@@ -118,10 +118,10 @@ class System:
 
 
 def sweeps_of(system: System, relaxation: float) -> Iterator[tuple[float, float]]:
-    done = 0
+    finished_sweeps = 0
     for count in SWEEPS:
-        system.sweep(relaxation, count - done)
-        done = count
+        system.sweep(relaxation, count - finished_sweeps)
+        finished_sweeps = count
         yield float(count), system.energy()
 
 
@@ -149,23 +149,23 @@ def methods() -> dict[str, Callable[[System], Iterator[tuple[float, float]]]]:
 def energy_curves(pair: FlowPair, size: tuple[int, int]) -> list[EnergyCurve]:
     """Return the energy of every method over its work, on one system."""
     system = System(pair, size)
-    first = system.energy()
+    start_energy = system.energy()
     multigrid = system.multigrid()
-    for _ in range(CONVERGED):
+    for _ in range(CONVERGED_CYCLES):
         multigrid.descend()
-    lowest = system.energy()
+    min_energy = system.energy()
     points_of: dict[str, list[tuple[float, float]]] = {}
     for name, method in methods().items():
         system.unknowns.rho[...] = 0
         points_of[name] = list(method(system))
-        lowest = min(lowest, *(energy for _, energy in points_of[name]))
+        min_energy = min(min_energy, *(energy for _, energy in points_of[name]))
     return [
         EnergyCurve(
             pair=pair.name,
             method=name,
             size=size,
             work=[work for work, _ in points],
-            gap=[(energy - lowest) / (first - lowest) for _, energy in points],
+            gap=[(energy - min_energy) / (start_energy - min_energy) for _, energy in points],
         )
         for name, points in points_of.items()
     ]
@@ -184,9 +184,9 @@ def wall_times(pair: FlowPair, size: tuple[int, int]) -> dict[str, float]:
     seconds: dict[str, list[float]] = {name: [] for name in steps}
     for turn in range(ROUNDS + 1):
         for name, step in steps.items():
-            _, spent = measure_time(step)
+            _, seconds_of_step = measure_time(step)
             if turn:  # the first turn compiles kernels
-                seconds[name].append(spent)
+                seconds[name].append(seconds_of_step)
     ratios = {
         name: median(a / b for a, b in zip(times, seconds["sweep"], strict=True))
         for name, times in seconds.items()
@@ -265,7 +265,7 @@ def main(arguments: list[str] | None = None) -> int:
     pairs = [pair for pair in find_pairs(folder)[0] if pair.group == "middlebury"] if folder else []
     pairs = pairs or scene_pairs(240, 320)
     sizes = SIZES[:1] if options.smoke else SIZES
-    measured = [curve for size in sizes for pair in pairs for curve in energy_curves(pair, size)]
+    curves = [curve for size in sizes for pair in pairs for curve in energy_curves(pair, size)]
     times = {size: wall_times(pairs[0], size) for size in sizes}
     conditions = {
         "pairs": ", ".join(pair.name for pair in pairs) + ", resized; medians over them",
@@ -276,7 +276,7 @@ def main(arguments: list[str] | None = None) -> int:
     }
     path = RESULTS / output_name(options, "solvers")
     tables = (
-        gap_table(measured),
+        gap_table(curves),
         "Gap: (E − E*)/(E(0) − E*). Work is in sweeps of the finest grid, by the memory to be "
         "moved: a cycle of multigrid is two sweeps, a residual (counted as a sweep) and a "
         f"correction (half) on every level, {CYCLE:.2f} in all; its set-up, once, {SET_UP:g}; "
@@ -286,7 +286,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     print(markdown_page(*tables))
     picture = f"![Energy over work]({path.stem}.png)"
-    records = [asdict(curve) for curve in measured]
+    records = [asdict(curve) for curve in curves]
     text = markdown_page("# Solvers of the linear system", conditions, *tables, picture)
     write_results(path, text, {**conditions, "courses": records})
     draw(records, path.with_suffix(".png"))

@@ -118,7 +118,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     runtime.start(threads=options.threads)
     scenes = {seed: bare_patches(options.height, options.width, seed=seed) for seed in SEEDS}
-    measured = {
+    values_by_method = {
         name: [
             measure(
                 add_noise(scene, method.noise, seed) if method.noise else scene, method.settings
@@ -129,7 +129,7 @@ def main(arguments: list[str] | None = None) -> int:
     }
     means = {
         name: {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
-        for name, rows in measured.items()
+        for name, rows in values_by_method.items()
     }
     conditions = {
         "scenes": f"`tisfm.scenes.bare_patches`, {options.height}×{options.width}, means of "
@@ -144,7 +144,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     print(markdown_page(table(means)))
     text = markdown_page("# Parts without texture", conditions, table(means), notes)
-    record = {**conditions, "size": [options.height, options.width], "found": measured}
+    record = {**conditions, "size": [options.height, options.width], "found": values_by_method}
     write_results(RESULTS / (options.output or "untextured"), text, record)
     return 0
 

@@ -47,8 +47,8 @@ class Triple:
     name: str
     frames: list[np.ndarray]
     flow: np.ndarray
-    occluded: np.ndarray
-    known: np.ndarray
+    occluded_pixels: np.ndarray
+    known_pixels: np.ndarray
     camera: tisfm.Camera
 
 
@@ -69,8 +69,8 @@ def sintel(folder: Path, name: str) -> Triple:
         name=name,
         frames=frames,
         flow=flow,
-        occluded=hidden | leaves_image(flow),
-        known=np.asarray(np.isfinite(flow).all(axis=-1)),
+        occluded_pixels=hidden | leaves_image(flow),
+        known_pixels=np.asarray(np.isfinite(flow).all(axis=-1)),
         camera=tisfm.Camera(600.0),
     )
 
@@ -81,8 +81,8 @@ def triple_of_pairs(name: str, earlier: SyntheticPair, pair: SyntheticPair) -> T
         name=name,
         frames=[earlier.frame1, pair.frame0, pair.frame1],
         flow=pair.flow,
-        occluded=~pair.visible,
-        known=np.asarray(np.isfinite(pair.flow).all(axis=-1)),
+        occluded_pixels=~pair.visible,
+        known_pixels=np.asarray(np.isfinite(pair.flow).all(axis=-1)),
         camera=pair.camera,
     )
 
@@ -92,9 +92,15 @@ def blocks(
 ) -> Triple:
     """Render blocks that keep their 3D velocities."""
     small = make(8, 12)
-    camera, own = -small.motions[0], (small.motions - small.motions[0])[2:]
+    camera, block_motions_per_frame = -small.motions[0], (small.motions - small.motions[0])[2:]
     before, after = (
-        make(height, width, seed=seed, camera_motion=f * camera, block_motions=f * own)
+        make(
+            height,
+            width,
+            seed=seed,
+            camera_motion=f * camera,
+            block_motions=f * block_motions_per_frame,
+        )
         for f in (-speed, speed)
     )
     name = f"{make.__name__}, {width}×{height}, {speed:g} times its speed"
@@ -128,8 +134,8 @@ def papered_room(height: int, width: int, seed: int, direction: str) -> Triple:
         name=f"room, papered, {direction}, {width}×{height}",
         frames=list(film.frames),
         flow=flow,
-        occluded=hidden | leaves_image(flow),
-        known=later_points[2] > 0,
+        occluded_pixels=hidden | leaves_image(flow),
+        known_pixels=later_points[2] > 0,
         camera=camera,
     )
 
@@ -157,21 +163,23 @@ def measure(triple: Triple, settings: tisfm.Settings, repetitions: int) -> dict[
 
     interpret = partial(measure_time, last.interpret, camera=triple.camera, settings=settings)
 
-    def of_window() -> tuple[tisfm.Interpretation, float]:
+    def interpret_window() -> tuple[tisfm.Interpretation, float]:
         window.previous = previous
         return interpret(window=window)
 
-    values = {"share": float(triple.occluded.mean())}
-    for name, work in (("pair", interpret), ("window", of_window)):
+    values = {"share": float(triple.occluded_pixels.mean())}
+    for name, work in (("pair", interpret), ("window", interpret_window)):
         result, _ = work()
         error = np.linalg.norm(result.flow - triple.flow, axis=-1)
-        occluded = triple.occluded & triple.known
-        values[f"{name}_occluded"] = float(error[occluded].mean())
-        values[f"{name}_elsewhere"] = float(error[~triple.occluded & triple.known].mean())
-        both = np.count_nonzero(result.occlusion & triple.occluded)
-        total = np.count_nonzero(result.occlusion) + np.count_nonzero(triple.occluded)
-        values[f"{name}_f1"] = 2 * both / total
-    times = np.array([[interpret()[1], of_window()[1]] for _ in range(repetitions)])
+        occluded_pixels = triple.occluded_pixels & triple.known_pixels
+        values[f"{name}_occluded"] = float(error[occluded_pixels].mean())
+        values[f"{name}_elsewhere"] = float(
+            error[~triple.occluded_pixels & triple.known_pixels].mean()
+        )
+        true_positives = np.count_nonzero(result.occlusion & triple.occluded_pixels)
+        total = np.count_nonzero(result.occlusion) + np.count_nonzero(triple.occluded_pixels)
+        values[f"{name}_f1"] = 2 * true_positives / total
+    times = np.array([[interpret()[1], interpret_window()[1]] for _ in range(repetitions)])
     values["seconds"] = float(np.median(times[:, 0]))
     values["ratio"] = float(np.median(times[:, 1] / times[:, 0]))
     return values
@@ -202,7 +210,7 @@ def main(arguments: list[str] | None = None) -> int:
             name = sequence[0].name
             values = [measure(triple, settings, options.repetitions) for triple in sequence]
             results[preset][name] = {
-                key: float(np.mean([one[key] for one in values])) for key in values[0]
+                key: float(np.mean([entry[key] for entry in values])) for key in values[0]
             }
             rows.append(row(name, results[preset][name]))
             print(preset, "|", " | ".join(rows[-1]), flush=True)

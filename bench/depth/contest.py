@@ -40,7 +40,7 @@ class DepthContest:
 
     def thresholds(self, method: str) -> list[float]:
         """Return the thresholds of a method's essential matrix; none for a method without one."""
-        return sorted({s.threshold for s in self._of(method) if s.threshold is not None})
+        return sorted({s.threshold for s in self._scores_of(method) if s.threshold is not None})
 
     def best_threshold(self, method: str) -> float | None:
         """Return the threshold with the least product of `typical_errors`."""
@@ -55,25 +55,29 @@ class DepthContest:
         Two groups of pairs do not count: pairs with a given pose have no essential matrix, and the
         direction is uncertain if the camera moved very little.
         """
-        known = [s for s in self._at(method, threshold) if s.group != LITTLE_MOTION]
-        posed = {s.pair for s in self.scores if s.direction is not None}
-        deep = {s.pair for s in self.scores if s.abs_rel_limited is not None} & posed
+        scores = [s for s in self._scores_at(method, threshold) if s.group != LITTLE_MOTION]
+        pairs_with_pose = {s.pair for s in self.scores if s.direction is not None}
+        pairs_with_depth = {
+            s.pair for s in self.scores if s.abs_rel_limited is not None
+        } & pairs_with_pose
         return (
-            _geometric([_value(s, "direction") for s in known if s.pair in posed]),
-            _geometric([_value(s, "abs_rel_limited") for s in known if s.pair in deep]),
+            _geometric_mean([_value(s, "direction") for s in scores if s.pair in pairs_with_pose]),
+            _geometric_mean(
+                [_value(s, "abs_rel_limited") for s in scores if s.pair in pairs_with_depth]
+            ),
         )
 
     def best(self, method: str, group: Group) -> list[Score]:
         """Return the scores of a method on a group, at its best threshold."""
         threshold = self.best_threshold(method)
-        return [s for s in self._at(method, threshold) if s.pair in group.pairs]
+        return [s for s in self._scores_at(method, threshold) if s.pair in group.pairs]
 
     def failures(self) -> dict[str, str]:
         """Return "method on pair" → failure, at the best thresholds."""
         return {
             f"{s.method} on {s.pair}": s.failure
             for method in self.methods
-            for s in self._at(method, self.best_threshold(method))
+            for s in self._scores_at(method, self.best_threshold(method))
             if s.failure
         }
 
@@ -81,11 +85,11 @@ class DepthContest:
         best = {name: self.best_threshold(name) for name in self.methods}
         return asdict(self) | {"best_thresholds": best}
 
-    def _at(self, method: str, threshold: float | None) -> list[Score]:
+    def _scores_at(self, method: str, threshold: float | None) -> list[Score]:
         """Return the scores at a threshold, also the scores of calls that failed earlier."""
-        return [s for s in self._of(method) if s.threshold in (threshold, None)]
+        return [s for s in self._scores_of(method) if s.threshold in (threshold, None)]
 
-    def _of(self, method: str) -> list[Score]:
+    def _scores_of(self, method: str) -> list[Score]:
         return [s for s in self.scores if s.method == method]
 
 
@@ -107,28 +111,30 @@ def run_contest(
     """
     if not entries:
         raise ValueError("there is no pair to measure on")
-    missing, ready = dict(missing), []
+    missing, ready_methods = dict(missing), []
     for method in methods:
         step(f"{method.name}: first calls")
         try:
             for pair in _small_pairs():
                 method.run(pair)
-            ready.append(method)
+            ready_methods.append(method)
         except MethodFailure as failure:
             missing[method.name] = str(failure)
-    if not ready:
+    if not ready_methods:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in missing.items())
         raise ValueError(f"no method can run: {reasons}")
     scores: list[Score] = []
-    members: dict[str, list[str]] = {}
+    pairs_by_group: dict[str, list[str]] = {}
     for entry in entries:
         pair = entry.load()
-        members.setdefault(entry.group, []).append(entry.name)
-        scores += _measure(ready, pair, rounds, step)
+        pairs_by_group.setdefault(entry.group, []).append(entry.name)
+        scores += _measure(ready_methods, pair, rounds, step)
     return DepthContest(
         conditions=conditions,
-        methods=tuple(method.name for method in ready),
-        groups=tuple(Group(name=name, pairs=tuple(pairs)) for name, pairs in members.items()),
+        methods=tuple(method.name for method in ready_methods),
+        groups=tuple(
+            Group(name=name, pairs=tuple(pairs)) for name, pairs in pairs_by_group.items()
+        ),
         scores=tuple(scores),
         missing=missing,
     )
@@ -142,7 +148,7 @@ def mean_median_worst(values: Sequence[float]) -> tuple[float, float, float] | N
 def _measure(
     methods: Sequence[Method], pair: DepthPair, rounds: int, step: Callable[[str], None]
 ) -> list[Score]:
-    scored: dict[tuple[str, float | None], Score] = {}
+    scores_by_key: dict[tuple[str, float | None], Score] = {}
     times: dict[tuple[str, float | None], list[tuple[float, float | None]]] = {}
     for turn in range(rounds):
         for method in methods:
@@ -153,20 +159,20 @@ def _measure(
                 score_ = Score(
                     method=method.name, pair=pair.name, group=pair.group, failure=str(failure)
                 )
-                scored.setdefault((method.name, None), score_)
+                scores_by_key.setdefault((method.name, None), score_)
                 continue
             for estimate in estimates:
                 key = (estimate.method, estimate.threshold)
                 if turn == 0:
-                    scored[key] = score(estimate, pair)
+                    scores_by_key[key] = score(estimate, pair)
                 times.setdefault(key, []).append((estimate.seconds, estimate.flow_seconds))
-    return [_timed(score_, times.get(key, [])) for key, score_ in scored.items()]
+    return [_add_times(score_, times.get(key, [])) for key, score_ in scores_by_key.items()]
 
 
-def _timed(scored: Score, times: list[tuple[float, float | None]]) -> Score:
+def _add_times(score_: Score, times: list[tuple[float, float | None]]) -> Score:
     flows = [flow for _, flow in times if flow is not None]
     return replace(
-        scored,
+        score_,
         seconds=median(s for s, _ in times) if times else None,
         flow_seconds=median(flows) if flows else None,
     )
@@ -187,10 +193,10 @@ def _small_pairs() -> list[DepthPair]:
     return [pair, replace(pair, pose_given=True)]
 
 
-def _value(scored: Score, name: str) -> float:
-    value = getattr(scored, name)
+def _value(score_: Score, name: str) -> float:
+    value = getattr(score_, name)
     return FAILURE_ERROR[name] if value is None else max(value, MIN_ERROR)
 
 
-def _geometric(values: Sequence[float]) -> float:
+def _geometric_mean(values: Sequence[float]) -> float:
     return float(np.exp(np.mean(np.log(values)))) if values else 1.0

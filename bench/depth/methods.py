@@ -23,9 +23,9 @@ from tisfm.rigid import pose_matrix
 from tisfm.settings import Motion, Preset, Settings
 
 THRESHOLDS = (0.001, 0.002, 0.005, 0.02, 0.1, 0.5)  # px, of the essential matrix
-GRID_CORRESPONDENCES = 4800  # on a regular grid, about
+GRID_CORRESPONDENCES = 4800  # number on a regular grid, about
 CONFIDENCE = 0.9999  # of the random sampling
-MAX_ITERATIONS = 10_000  # of the random sampling, at most
+MAX_ITERATIONS = 10_000  # of the random sampling
 MIN_CORRESPONDENCES = 5  # for a sample
 
 
@@ -66,14 +66,14 @@ class OwnMethod:
     def run(self, pair: DepthPair) -> Sequence[Estimate]:
         settings = Settings.preset(self.preset, motion=self.motion)
         pose = pair.pose if pair.pose_given else None
-        started = time.perf_counter()
+        start_time = time.perf_counter()
         try:
             result = tisfm.interpret(
                 pair.frame0, pair.frame1, camera=pair.camera, settings=settings, pose=pose
             )
         except Exception as error:  # a failure must not lose the figures of the other methods
             raise MethodFailure(f"{type(error).__name__}: {error}") from error
-        seconds = time.perf_counter() - started
+        seconds = time.perf_counter() - start_time
         has_depth = result.status not in LITTLE_PARALLAX_STATUSES
         estimated_pose = None if result.motions is None else pose_matrix(result.motions[0])
         return [
@@ -108,13 +108,13 @@ class FlowThenDepth:
         pose = pair.pose if pair.pose_given else None
         estimates = []
         for threshold in self.thresholds:
-            started = time.perf_counter()
+            start_time = time.perf_counter()
             try:
                 depth = two_stage(call.flow, pair.camera, threshold=threshold, pose=pose)
                 failure = ""
             except NoMotion as none:
                 depth, failure = None, str(none)
-            seconds = call.seconds + time.perf_counter() - started
+            seconds = call.seconds + time.perf_counter() - start_time
             estimates.append(
                 Estimate(
                     method=self.name,
@@ -177,13 +177,15 @@ def triangulate(
     y = (np.arange(height)[:, None] - cy) / camera.focal
     x1, y1 = x + flow[..., 0] / camera.focal, y + flow[..., 1] / camera.focal
     # R x̂₀ + d t has the direction (x̂₁, ŷ₁, 1): two equations, linear in d.
-    turned_x, turned_y, turned_z = (row[0] * x + row[1] * y + row[2] for row in pose[:3, :3])
+    rotated_x, rotated_y, rotated_z = (row[0] * x + row[1] * y + row[2] for row in pose[:3, :3])
     tx, ty, tz = pose[:3, 3]
     slope_x, slope_y = tx - x1 * tz, ty - y1 * tz
-    rest_x, rest_y = x1 * turned_z - turned_x, y1 * turned_z - turned_y
+    remainder_x, remainder_y = x1 * rotated_z - rotated_x, y1 * rotated_z - rotated_y
     square = slope_x**2 + slope_y**2
     inverse_depth = np.zeros((height, width))
-    np.divide(slope_x * rest_x + slope_y * rest_y, square, out=inverse_depth, where=square > 0)
+    np.divide(
+        slope_x * remainder_x + slope_y * remainder_y, square, out=inverse_depth, where=square > 0
+    )
     return inverse_depth
 
 
@@ -194,14 +196,16 @@ def _relative_pose(flow: NDArray, camera: Camera, threshold: float) -> tuple[NDA
     rows, columns = np.mgrid[stride // 2 : height : stride, stride // 2 : width : stride]
     start = np.stack([columns.ravel(), rows.ravel()], axis=1).astype(np.float64)
     end = start + flow[rows.ravel(), columns.ravel()]
-    inside = ((end >= 0) & (end <= (width - 1, height - 1))).all(axis=1)
-    if np.count_nonzero(inside) < MIN_CORRESPONDENCES:
-        raise NoMotion(f"only {np.count_nonzero(inside)} of {len(inside)} points stay in the image")
+    is_inside = ((end >= 0) & (end <= (width - 1, height - 1))).all(axis=1)
+    if np.count_nonzero(is_inside) < MIN_CORRESPONDENCES:
+        raise NoMotion(
+            f"only {np.count_nonzero(is_inside)} of {len(is_inside)} points stay in the image"
+        )
     cx, cy = camera.center_for(height, width)
     intrinsic = np.array([[camera.focal, 0, cx], [0, camera.focal, cy], [0, 0, 1.0]])
     essential, _ = cv2.findEssentialMat(
-        start[inside],
-        end[inside],
+        start[is_inside],
+        end[is_inside],
         intrinsic,
         method=cv2.USAC_MAGSAC,
         prob=CONFIDENCE,
@@ -210,7 +214,7 @@ def _relative_pose(flow: NDArray, camera: Camera, threshold: float) -> tuple[NDA
     )
     if essential is None or essential.shape[0] < 3 or not np.isfinite(essential).all():
         raise NoMotion(f"no essential matrix was found at a threshold of {threshold:g} px")
-    first, second, direction = cv2.decomposeEssentialMat(essential[:3])
+    rotation0, rotation1, direction = cv2.decomposeEssentialMat(essential[:3])
     # The two rotations differ by half a turn about t; frames are close in time.
-    smaller = first if np.trace(first) > np.trace(second) else second
-    return np.asarray(smaller, np.float64), np.asarray(direction, np.float64).ravel()
+    rotation = rotation0 if np.trace(rotation0) > np.trace(rotation1) else rotation1
+    return np.asarray(rotation, np.float64), np.asarray(direction, np.float64).ravel()

@@ -59,14 +59,20 @@ class DepthPair:
     raw_depth: NDArray | None = None  # (H, W); depth camera's map, not registered to the frame
     pose: NDArray | None = None  # (4, 4) float64; true motion of the static scene, P₁ = R P₀ + t
     pose_given: bool = False  # whether methods get the pose
-    movers: NDArray | None = None  # (H, W) int; 0 static, another number for each moving object
+    object_labels: NDArray | None = (
+        None  # (H, W) int; 0 static, another number for each moving object
+    )
     visible: NDArray | None = None  # (H, W) bool; visible in frame 1, if known
 
     def flow_pair(self) -> FlowPair:
         """Return the frames as a pair of the flow contest, with unknown truth."""
-        nothing = np.full((*self.frame0.shape[:2], 2), np.nan)
+        unknown_flow = np.full((*self.frame0.shape[:2], 2), np.nan)
         return FlowPair(
-            name=self.name, group=self.group, frame0=self.frame0, frame1=self.frame1, truth=nothing
+            name=self.name,
+            group=self.group,
+            frame0=self.frame0,
+            frame1=self.frame1,
+            truth=unknown_flow,
         )
 
 
@@ -146,19 +152,19 @@ def data_entries(data: Path) -> tuple[list[Entry], dict[str, str]]:
     missing: dict[str, str] = {}
     for layout, selections in SELECTIONS.items():
         for selection in selections:
-            selected = list(_selected(data, layout, selection))
-            if not selected:
+            entries_of_selection = list(_select_entries(data, layout, selection))
+            if not entries_of_selection:
                 missing[selection.group] = f"none of its frames in {selection.folder}"
-            entries += selected
+            entries += entries_of_selection
     for folder, group in STEREO_FOLDERS.items():
         pairs = list(LAYOUTS["stereo"].find(data / folder))
         if not pairs:
             missing[group] = f"no {LAYOUTS['stereo'].expected_files} in {folder}"
-        entries += [Entry(p.name, group, partial(_loaded, p, p.name, group)) for p in pairs]
+        entries += [Entry(p.name, group, partial(_load_pair, p, p.name, group)) for p in pairs]
     return entries, missing
 
 
-def _selected(data: Path, layout: Layout, selection: Selection) -> Iterator[Entry]:
+def _select_entries(data: Path, layout: Layout, selection: Selection) -> Iterator[Entry]:
     for pair in LAYOUTS[layout].find(data / selection.folder, step=selection.step):
         number = int("".join(filter(str.isdigit, pair.name)))
         if number in selection.first:
@@ -170,11 +176,11 @@ def _selected(data: Path, layout: Layout, selection: Selection) -> Iterator[Entr
                 name = f"{selection.folder} {name}, {selection.step} apart"
             if selection.pose_given:
                 name += POSE_GIVEN
-            load = partial(_loaded, pair, name, selection.group, selection=selection)
+            load = partial(_load_pair, pair, name, selection.group, selection=selection)
             yield Entry(name, selection.group, load)
 
 
-def _loaded(
+def _load_pair(
     pair: DatasetPair, name: str, group: str, *, selection: Selection | None = None
 ) -> DepthPair:
     loaded = pair.load()
@@ -207,7 +213,9 @@ def _loaded(
 
 def scene_pair(name: str, group: str, pair: SyntheticPair) -> DepthPair:
     """Return a rendered scene as a pair with known depth and motion."""
-    movers = np.where(pair.labels < STATIC_LABELS, 0, pair.labels) if group == TWO_BLOCKS else None
+    object_labels = (
+        np.where(pair.labels < STATIC_LABELS, 0, pair.labels) if group == TWO_BLOCKS else None
+    )
     return DepthPair(
         name=name,
         group=group,
@@ -217,7 +225,7 @@ def scene_pair(name: str, group: str, pair: SyntheticPair) -> DepthPair:
         depth=pair.depth,
         pose=pose_matrix(pair.motions[0]),
         pose_given=POSE_GIVEN in group,
-        movers=movers,
+        object_labels=object_labels,
         visible=pair.visible,
     )
 

@@ -77,20 +77,20 @@ def groups(contest: DepthContest) -> list[Group]:
 
 def common_pairs(contest: DepthContest, group: Group) -> Group:
     """Return a group without the pairs for which a method reports no depth."""
-    declined = {
+    pairs_without_depth = {
         score.pair
         for method in contest.methods
         for score in contest.best(method, group)
         if score.without_depth
     }
-    remaining = tuple(pair for pair in group.pairs if pair not in declined)
-    return Group(name=group.name + COMMON_SUFFIX, pairs=remaining) if declined else group
+    remaining = tuple(pair for pair in group.pairs if pair not in pairs_without_depth)
+    return Group(name=group.name + COMMON_SUFFIX, pairs=remaining) if pairs_without_depth else group
 
 
 def _whole_groups(contest: DepthContest) -> list[Group]:
     static = [group for group in contest.groups if group.name.startswith(_STATIC_PREFIX)]
-    together = Group(name=STATIC, pairs=tuple(pair for group in static for pair in group.pairs))
-    return [together, *contest.groups] if len(static) > 1 else list(contest.groups)
+    static_group = Group(name=STATIC, pairs=tuple(pair for group in static for pair in group.pairs))
+    return [static_group, *contest.groups] if len(static) > 1 else list(contest.groups)
 
 
 def summary(contest: DepthContest) -> Table:
@@ -153,13 +153,13 @@ def notes(contest: DepthContest) -> list[str]:
         "with the lowest product of the two errors there, which are geometric means over pairs. "
         "Pairs with a given pose, or with a camera that moved very little, do not count.",
     ]
-    declined = [
+    pairs_without_depth = [
         f"{method}: {', '.join(names)}"
         for method in contest.methods
         if (names := _without_depth(contest, method))
     ]
-    if declined:
-        lines.append("Reported as too little parallax by " + "; ".join(declined) + ".")
+    if pairs_without_depth:
+        lines.append("Reported as too little parallax by " + "; ".join(pairs_without_depth) + ".")
     return lines
 
 
@@ -196,32 +196,32 @@ def _detail(contest: DepthContest, group: Group) -> Table:
 
 def _cells(contest: DepthContest, method: str, group: Group) -> list[str]:
     scores = contest.best(method, group)
-    declined = sum(score.without_depth for score in scores)
+    pairs_without_depth = sum(score.without_depth for score in scores)
     failed = sum(bool(score.failure) for score in scores)
     has_status = any(score.status for score in scores)
     return [
-        _reduced(scores, "abs_rel", fmean, ".4f"),
-        _reduced(scores, "abs_rel", median, ".4f"),
-        _reduced(scores, "abs_rel_limited", fmean, ".4f"),
-        _reduced(scores, "abs_rel_raw", median, ".4f"),
-        _reduced(scores, "abs_rel_all", median, ".4f"),
-        _reduced(scores, "abs_rel_certain", median, ".4f"),
-        *_trusted(scores),
-        _reduced(scores, "abs_rel_rest", fmean, ".4f"),
-        _reduced(scores, "abs_rel_movers", fmean, ".4f"),
-        _reduced(scores, "delta1", fmean, ".1%"),
-        _reduced(scores, "density", fmean, ".2%"),
-        _three(scores, "direction", 2),
-        _three(scores, "rotation", 4),
-        _reduced(scores, "within", fmean, ".0%"),
-        (f"{declined} of {len(scores)}" if has_status else EMPTY_CELL)
+        _reduce(scores, "abs_rel", fmean, ".4f"),
+        _reduce(scores, "abs_rel", median, ".4f"),
+        _reduce(scores, "abs_rel_limited", fmean, ".4f"),
+        _reduce(scores, "abs_rel_raw", median, ".4f"),
+        _reduce(scores, "abs_rel_all", median, ".4f"),
+        _reduce(scores, "abs_rel_certain", median, ".4f"),
+        *_count_trusted(scores),
+        _reduce(scores, "abs_rel_rest", fmean, ".4f"),
+        _reduce(scores, "abs_rel_movers", fmean, ".4f"),
+        _reduce(scores, "delta1", fmean, ".1%"),
+        _reduce(scores, "density", fmean, ".2%"),
+        _format_three(scores, "direction", 2),
+        _format_three(scores, "rotation", 4),
+        _reduce(scores, "within", fmean, ".0%"),
+        (f"{pairs_without_depth} of {len(scores)}" if has_status else EMPTY_CELL)
         + (f", {failed} failed" if failed else ""),
-        _reduced(scores, "seconds", median, "#.3g"),
+        _reduce(scores, "seconds", median, "#.3g"),
         _time_ratio(contest, method, group, scores),
     ]
 
 
-def _trusted(scores: list[Score]) -> tuple[str, str]:
+def _count_trusted(scores: list[Score]) -> tuple[str, str]:
     """Return two counts: converged pairs with wrong depth, and pairs with parallax that have depth.
 
     Both are empty for methods without a status, and if no true depth is known.
@@ -269,8 +269,8 @@ def _heading(group: Group) -> str:
 
 
 def _without_depth(contest: DepthContest, method: str) -> list[str]:
-    everything = Group(name="", pairs=tuple(p for group in contest.groups for p in group.pairs))
-    return [f"{s.pair} ({s.status})" for s in contest.best(method, everything) if s.without_depth]
+    all_pairs = Group(name="", pairs=tuple(p for group in contest.groups for p in group.pairs))
+    return [f"{s.pair} ({s.status})" for s in contest.best(method, all_pairs) if s.without_depth]
 
 
 def _values(scores: Sequence[Score], name: str) -> list[float]:
@@ -278,11 +278,11 @@ def _values(scores: Sequence[Score], name: str) -> list[float]:
     return [value for value in values if value is not None]
 
 
-def _reduced(scores: Sequence[Score], name: str, reduce: Reduce, form: str) -> str:
+def _reduce(scores: Sequence[Score], name: str, reduce: Reduce, form: str) -> str:
     values = _values(scores, name)
     return format(reduce(values), form).rstrip("%").rstrip(".") if values else EMPTY_CELL
 
 
-def _three(scores: Sequence[Score], name: str, digits: int) -> str:
+def _format_three(scores: Sequence[Score], name: str, digits: int) -> str:
     values = mean_median_worst(_values(scores, name))
     return EMPTY_CELL if values is None else " / ".join(f"{value:.{digits}f}" for value in values)

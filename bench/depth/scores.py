@@ -140,12 +140,12 @@ def _certain_error(estimate: Estimate, pair: DepthPair) -> float | None:
 
 def _error_of_parts(depth: NDArray, pair: DepthPair, *, at_rest: bool) -> float | None:
     """Return abs-rel of the static pixels or of the moving objects, each in its own scale."""
-    if pair.movers is None or pair.depth is None:
+    if pair.object_labels is None or pair.depth is None:
         return None
-    parts = [part for part in np.unique(pair.movers) if (part == 0) == at_rest]
+    parts = [part for part in np.unique(pair.object_labels) if (part == 0) == at_rest]
     total, pixels = 0.0, 0
     for part in parts:
-        mask = pair.movers == part
+        mask = pair.object_labels == part
         if not known_depth(pair.depth)[mask].any():
             return None
         error = depth_errors(limit_depth(depth), pair.depth, mask).abs_rel
@@ -159,10 +159,10 @@ def _share_within_deviation(
     """Return the share of visible pixels off by less than their standard deviation."""
     if estimate.deviation is None or pair.depth is None:
         return None
-    counted = known_depth(pair.depth)
+    is_counted = known_depth(pair.depth)
     visible = estimate.visible if pair.visible is None else pair.visible
     if visible is not None:
-        counted &= visible
-    truth = 1 / pair.depth[counted]
-    error = np.abs(inverse_depth[counted] / scale - truth)
-    return float((error <= estimate.deviation[counted] / scale).mean()) if len(truth) else None
+        is_counted &= visible
+    truth = 1 / pair.depth[is_counted]
+    error = np.abs(inverse_depth[is_counted] / scale - truth)
+    return float((error <= estimate.deviation[is_counted] / scale).mean()) if len(truth) else None

@@ -113,14 +113,19 @@ def bench_pair_taichi(problem, preset, model, solver, lanes, measure, monkeypatc
     )
     pair = PAIRS[preset]
     settings = replace(pair.settings, model=model, solver=solver)
-    known = ("pair", preset, model) in problem.expected
-    small = problem.height * problem.width <= np.prod(REFERENCE_SIZE)
+    is_known = ("pair", preset, model) in problem.expected
+    is_small = problem.height * problem.width <= np.prod(REFERENCE_SIZE)
     # If the reference was not run, a smaller image of the same scene is checked.
-    judge = problem if known or small else problem_at(*REFERENCE_SIZE)
-    motion = reference.motion_matrix(judge.camera, judge.height, judge.width, settings.components)
+    checked_problem = problem if is_known or is_small else problem_at(*REFERENCE_SIZE)
+    motion = reference.motion_matrix(
+        checked_problem.camera, checked_problem.height, checked_problem.width, settings.components
+    )
     actual, expected = (
         reference.flow(motion, rho)
-        for rho in (taichi_run(judge, settings)().images(), expected_rho(judge, preset, model))
+        for rho in (
+            taichi_run(checked_problem, settings)().images(),
+            expected_rho(checked_problem, preset, model),
+        )
     )
     distance = np.hypot(*(actual - expected))
     error = check_quantile(distance, pair.share, pair.tolerance)
@@ -130,6 +135,6 @@ def bench_pair_taichi(problem, preset, model, solver, lanes, measure, monkeypatc
         lanes=lanes,
         solver=solver,
         disagreement=error,
-        checked_at=[judge.height, judge.width],
+        checked_at=[checked_problem.height, checked_problem.width],
         **label(problem, preset, model),
     )

@@ -32,8 +32,10 @@ class MultigridOperations(TaichiSide):
     def add_correction(self) -> Timed:
         grid, rho = self.grid, self.unknowns.rho
         coarse = self.lay_halved(self.problem.parents[: self.n])
-        across = tuple(map(grid.place, coarsening.interpolation_columns(grid)))
-        return partial(coarsening.add_correction, grid, coarse, across, rho), self.reader(rho)
+        column_weights = tuple(map(grid.place, coarsening.interpolation_columns(grid)))
+        return partial(coarsening.add_correction, grid, coarse, column_weights, rho), self.reader(
+            rho
+        )
 
     def plane_energy(self) -> Timed:
         arrays, directions = self.system().arrays, self._directions()
@@ -99,23 +101,23 @@ class MultigridReferences(NumpySide):
         height, width = rho.shape[1:]
 
         def run() -> np.ndarray:
-            rows = _interpolated(coarse, height, axis=1)
-            rho[...] += _interpolated(rows, width, axis=2)
+            rows = _interpolate(coarse, height, axis=1)
+            rho[...] += _interpolate(rows, width, axis=2)
             return rho
 
         return run
 
     def plane_energy(self) -> Run:
         p, n, motion, weights = self.problem, self.n, self.motion, ALPHA * self.weights()
-        before, last = p.previous[:n], p.step[:n]
+        previous, last_step = p.previous[:n], p.step[:n]
         j11, j12, j22, *_ = p.tensor
 
         def run() -> np.ndarray:
-            directions = self.rho - before, last
+            directions = self.rho - previous, last_step
             flows = [reference.flow(motion, step) for step in directions]
             edges = [np.concatenate(reference.differences(step)) for step in directions]
-            slope = _slope(p.tensor, motion, before)
-            tension = weights * np.concatenate(reference.differences(before))
+            slope = _slope(p.tensor, motion, previous)
+            tension = weights * np.concatenate(reference.differences(previous))
             sums = []
             for i, j in ((0, 0), (0, 1), (1, 1)):
                 (a, b), (c, d) = flows[i], flows[j]
@@ -129,14 +131,14 @@ class MultigridReferences(NumpySide):
 
     def move_to_minimum(self) -> Run:
         p, (first, second) = self.problem, LINE_STEPS
-        before, step = p.previous[: self.n].copy(), p.step[: self.n].copy()
-        rho = self.rho - before  # the correction, then the new solution
+        previous, step = p.previous[: self.n].copy(), p.step[: self.n].copy()
+        rho = self.rho - previous  # the correction, then the new solution
 
         def run() -> np.ndarray:
             step[...] = first * rho + second * step
-            rho[...] = before + step
-            before[...] = rho
-            return np.concatenate([rho, before, step])
+            rho[...] = previous + step
+            previous[...] = rho
+            return np.concatenate([rho, previous, step])
 
         return run
 
@@ -163,7 +165,7 @@ def neighbours(size: int, coarse_size: int) -> tuple[np.ndarray, np.ndarray]:
     return parent, np.clip(parent + 2 * (fine % 2) - 1, 0, coarse_size - 1)
 
 
-def _interpolated(coarse: np.ndarray, size: int, *, axis: int) -> np.ndarray:
+def _interpolate(coarse: np.ndarray, size: int, *, axis: int) -> np.ndarray:
     """Return ¾ of every fine pixel's parent and ¼ of its neighbour, along an axis."""
     parent, neighbour = neighbours(size, coarse.shape[axis])
     return 0.75 * coarse.take(parent, axis) + 0.25 * coarse.take(neighbour, axis)

@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from bench.kernels.references import flow_and_bend, mask_moments, other_constraints
+from bench.kernels.references import flow_and_flow_sum, mask_moments, previous_constraints
 from bench.kernels.sides import TaichiSide, Timed
 from bench.kernels.unfused import sweep_unfused
 from bench.shared import problems
@@ -87,14 +87,14 @@ class FieldOperations(TaichiSide):
         )
 
     def backward_flow(self) -> Timed:
-        arguments = [self.lay(array) for array in flow_and_bend(self.problem.flow)]
+        arguments = [self.lay(array) for array in flow_and_flow_sum(self.problem.flow)]
         out = self.grid.allocate(2)
         return partial(three_frames.backward_flow, self.grid, *arguments, out), self.reader(out)
 
     def join(self) -> Timed:
         p = self.problem
-        before, trust, masks = other_constraints(p)
-        inputs = [self.lay(array) for array in (before, trust, *masks[:, None], p.flow)]
+        previous, trust, masks = previous_constraints(p)
+        inputs = [self.lay(array) for array in (previous, trust, *masks[:, None], p.flow)]
         out, tensor = self.lay(p.constraints), self.grid.allocate(6)
         return partial(
             three_frames.join_constraints, self.grid, *inputs, problems.DATA_SCALES, out, tensor
@@ -134,11 +134,11 @@ class FieldOperations(TaichiSide):
             scales=problems.DATA_SCALES,
             along_line=line,
         )
-        written = list(weight_update.LINE_ENTRIES) if line else slice(None)
+        entries = list(weight_update.LINE_ENTRIES) if line else slice(None)
         return (
             run,
             lambda _: np.concatenate(
-                [self.read(system.tensor)[written], self.read(system.weights)]
+                [self.read(system.tensor)[entries], self.read(system.weights)]
             ),
         )
 

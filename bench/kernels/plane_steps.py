@@ -13,12 +13,12 @@ from tisfm.kernels.rigid.view_search import MISSING_FRAME_COST, ViewSearch
 from tisfm.kernels.rigid.windows import MAX_GREY, UNTEXTURED
 
 NOISE = 1.5  # grey levels, deviation of the noise
-SEEN = 1.8  # minimum variance of a textured window, in variances of the noise
+MIN_WINDOW_VARIANCE = 1.8  # minimum variance of a textured window, in variances of the noise
 BOUNDS = 0.01, 10.0  # px/frame, of searched inverse depths
 SPREAD = 0.5  # px/frame, of drawn inverse depths
 TILT = 0.02  # px/frame per px, of drawn slopes
 DRAWS = 2  # planes that are drawn per pixel
-BEST = 1  # number of best frames whose mean cost counts
+BEST_FRAMES = 1  # number of best frames whose mean cost counts
 PLANE = (0.03, -0.02)  # slopes of the only plane of frame 1
 
 
@@ -33,30 +33,35 @@ class Planes:
         rng, size = np.random.default_rng(6), (problem.height, problem.width)
         self.levels = [np.rint(np.clip(frame, 0, MAX_GREY)) for frame in problem.frames]
         slopes = 0.02 * rng.normal(size=(2, *size))
-        self.own = in_single_precision(np.concatenate([problem.inverse_depth, slopes]))
+        self.start_planes = in_single_precision(np.concatenate([problem.inverse_depth, slopes]))
         rows, columns = np.indices(size)
-        depth = self.own[0].mean() + PLANE[0] * columns + PLANE[1] * rows
-        self.there = in_single_precision(np.stack(np.broadcast_arrays(depth, *PLANE)))
+        depth = self.start_planes[0].mean() + PLANE[0] * columns + PLANE[1] * rows
+        self.planes1 = in_single_precision(np.stack(np.broadcast_arrays(depth, *PLANE)))
         self.camera = problem.camera
         self.pose = motion[:, :3], motion[:, 3]
-        u, v = reference.displacement(self.own[0], self.camera, *self.pose)
+        u, v = reference.displacement(self.start_planes[0], self.camera, *self.pose)
         x, y = columns + u, rows + v
-        away = [x, x + 1 - problem.width, y, y + 1 - problem.height]
+        border_distance = [x, x + 1 - problem.width, y, y + 1 - problem.height]
         # Pixels clearly inside or outside the image; for others rounding decides.
-        self.certain = (np.abs(np.abs(away) - 0.5) > UNCERTAIN_BORDER).all(axis=0)
+        self.certain = (np.abs(np.abs(border_distance) - 0.5) > UNCERTAIN_BORDER).all(axis=0)
 
     def cost(self, planes: np.ndarray) -> np.ndarray:
         """Return the cost of planes, (3, H, W), `UNTEXTURED` for windows without texture."""
         cost, variance = reference.plane_cost(
             *self.levels, planes, self.camera, *self.pose, noise=NOISE**2
         )
-        return np.where(variance > SEEN * NOISE**2, cost, UNTEXTURED)
+        return np.where(variance > MIN_WINDOW_VARIANCE * NOISE**2, cost, UNTEXTURED)
 
 
 def search_options(p: Problem) -> dict:
     """Return the common options of searches in one frame and in several frames."""
     center = p.camera.center_for(p.height, p.width)
-    options = {"noise": NOISE, "min_variance": SEEN, "min_depth": BOUNDS[0], "max_depth": BOUNDS[1]}
+    options = {
+        "noise": NOISE,
+        "min_variance": MIN_WINDOW_VARIANCE,
+        "min_depth": BOUNDS[0],
+        "max_depth": BOUNDS[1],
+    }
     return {"center": center, "focal": p.camera.focal, **options}
 
 
@@ -67,7 +72,7 @@ def interleaved(planes: np.ndarray) -> np.ndarray:
     return state
 
 
-def _known(difference: np.ndarray, certain: np.ndarray) -> np.ndarray:
+def _finite_difference(difference: np.ndarray, certain: np.ndarray) -> np.ndarray:
     """Return a disagreement, -1 if infinite, at the certain pixels, (1, H, W)."""
     return np.where(np.isfinite(difference), difference, -1)[None] * certain
 
@@ -85,44 +90,44 @@ class Views:
 
     def __init__(self, problem: Problem) -> None:
         self.motions = problem.motions[:VIEWS]
-        self._each = [Planes(problem, motion) for motion in self.motions]
-        self.planes = self._each[0]
-        self.own = self.planes.own
-        self.certain = np.logical_and.reduce([planes.certain for planes in self._each])
+        self._planes_of_views = [Planes(problem, motion) for motion in self.motions]
+        self.planes = self._planes_of_views[0]
+        self.start_planes = self.planes.start_planes
+        self.certain = np.logical_and.reduce([planes.certain for planes in self._planes_of_views])
         # The kernel also computes costs of bare windows, which the reference skips.
-        self.seen = self.certain & (self.costs(self.own)[0] < UNTEXTURED)
+        self.is_compared = self.certain & (self.costs(self.start_planes)[0] < UNTEXTURED)
 
     def costs(self, planes: np.ndarray) -> np.ndarray:
         """Return the costs of planes, (3, H, W), under each motion, as `Planes.cost`."""
-        return np.array([view.cost(planes) for view in self._each])
+        return np.array([view.cost(planes) for view in self._planes_of_views])
 
     def cost(self, planes: np.ndarray) -> np.ndarray:
         """Return the cost of planes in the best frames."""
-        return reference.best_mean(self.costs(planes), BEST, absent=MISSING_FRAME_COST)
+        return reference.best_mean(self.costs(planes), BEST_FRAMES, missing_cost=MISSING_FRAME_COST)
 
 
 Surface = Planes | Views
 
 
 def time_score(search: PlaneSearch | ViewSearch, surface: Surface) -> Timed:
-    state = interleaved(surface.own)
+    state = interleaved(surface.start_planes)
     return partial(search.score, state), lambda _: (state[..., 3] * surface.certain)[None]
 
 
 def time_improve(search: PlaneSearch | ViewSearch, surface: Surface) -> Timed:
-    state = interleaved(surface.own)
+    state = interleaved(surface.start_planes)
     search.score(state)
     options = {"draws": DRAWS, "spread": SPREAD, "tilt": TILT, "seed": 0}
     return partial(search.improve, state, **options), lambda _: summary(state[..., 3])
 
 
 def reference_score(surface: Surface) -> Run:
-    return lambda: (surface.cost(surface.own) * surface.certain)[None]
+    return lambda: (surface.cost(surface.start_planes) * surface.certain)[None]
 
 
 def reference_improve(surface: Surface, focal: float) -> Run:
-    state = np.concatenate([surface.own, surface.cost(surface.own)[None]])
-    options = {"spread": SPREAD, "tilt": TILT, "steepest": MAX_SLOPE / focal, "bounds": BOUNDS}
+    state = np.concatenate([surface.start_planes, surface.cost(surface.start_planes)[None]])
+    options = {"spread": SPREAD, "tilt": TILT, "max_slope": MAX_SLOPE / focal, "bounds": BOUNDS}
 
     def run() -> np.ndarray:
         nonlocal state
@@ -152,12 +157,12 @@ class PlaneOperations(TaichiSide):
 
     def plane_disagreement(self) -> Timed:
         p, planes = self.problem, self.planes
-        arrays = [interleaved(array) for array in (planes.own, planes.there)]
+        arrays = [interleaved(array) for array in (planes.start_planes, planes.planes1)]
         out = np.empty((p.height, p.width), np.float32)
         options = {"center": p.camera.center_for(p.height, p.width), "focal": p.camera.focal}
         return (
             partial(plane_disagreement, *arrays, p.motions[0], out, **options),
-            lambda _: _known(out, planes.certain),
+            lambda _: _finite_difference(out, planes.certain),
         )
 
     def views_score(self) -> Timed:
@@ -167,9 +172,9 @@ class PlaneOperations(TaichiSide):
         return time_improve(self._views_search(), self.views)
 
     def views_costs(self) -> Timed:
-        p, search, state = self.problem, self._views_search(), interleaved(self.views.own)
+        p, search, state = self.problem, self._views_search(), interleaved(self.views.start_planes)
         out = np.empty((VIEWS, p.height, p.width), np.float32)
-        return partial(search.write_costs, state, out), lambda _: out * self.views.seen
+        return partial(search.write_costs, state, out), lambda _: out * self.views.is_compared
 
     def _search(self) -> PlaneSearch:
         p, levels = self.problem, [part.astype(np.float32) for part in self.planes.levels]
@@ -178,7 +183,7 @@ class PlaneOperations(TaichiSide):
     def _views_search(self) -> ViewSearch:
         p, levels = self.problem, [part.astype(np.float32) for part in self.views.planes.levels]
         others = [levels[1]] * VIEWS
-        options = {"frame_count": BEST, "stride": 1, **search_options(p)}
+        options = {"frame_count": BEST_FRAMES, "stride": 1, **search_options(p)}
         return ViewSearch(levels[0], others, self.views.motions, **options)
 
 
@@ -199,8 +204,8 @@ class PlaneReferences(NumpySide):
 
     def plane_disagreement(self) -> Run:
         planes = self.planes
-        arguments = planes.own, planes.there, planes.camera, *planes.pose
-        return lambda: _known(reference.plane_disagreement(*arguments), planes.certain)
+        arguments = planes.start_planes, planes.planes1, planes.camera, *planes.pose
+        return lambda: _finite_difference(reference.plane_disagreement(*arguments), planes.certain)
 
     def views_score(self) -> Run:
         return reference_score(self.views)
@@ -210,4 +215,4 @@ class PlaneReferences(NumpySide):
 
     def views_costs(self) -> Run:
         views = self.views
-        return lambda: views.costs(views.own) * views.seen
+        return lambda: views.costs(views.start_planes) * views.is_compared

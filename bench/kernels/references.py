@@ -55,23 +55,25 @@ class FieldReferences(NumpySide):
         return run
 
     def backward_flow(self) -> Run:
-        flow, bend = flow_and_bend(self.problem.flow)
-        return lambda: bend - flow
+        flow, flow_sum = flow_and_flow_sum(self.problem.flow)
+        return lambda: flow_sum - flow
 
     def join(self) -> Run:
         p = self.problem
-        before, trust, masks = other_constraints(p)
+        previous, trust, masks = previous_constraints(p)
         out = p.constraints.copy()
 
         def run() -> np.ndarray:
-            after, earlier = trust * masks
-            out[:] = (after * out + earlier * before) / np.maximum(1, after + earlier)
+            next_weight, previous_weight = trust * masks
+            out[:] = (next_weight * out + previous_weight * previous) / np.maximum(
+                1, next_weight + previous_weight
+            )
             tensor = np.zeros((6, *out.shape[1:]))
-            for lines, scale in (
+            for constraints, scale in (
                 (out[:3], problems.DATA_SCALES[0]),
                 (out[3:], problems.DATA_SCALES[1]),
             ):
-                slope_x, slope_y, constant = (lines[k::3] for k in range(3))
+                slope_x, slope_y, constant = (constraints[k::3] for k in range(3))
                 squared = ((slope_x * p.flow[0] + slope_y * p.flow[1] + constant) ** 2).sum(axis=0)
                 root = np.sqrt(1 + squared / scale)
                 pairs = ((slope_x, slope_x), (slope_x, slope_y), (slope_y, slope_y))
@@ -103,12 +105,12 @@ class FieldReferences(NumpySide):
     def update(self) -> Run:
         joint = self.scheme == "joint"
         smoothness, terms = problems.SMOOTHNESS[joint], self.problem.terms
-        before = self.weights(), self.problem.tensor
+        system_state = self.weights(), self.problem.tensor
         previous = self.problem.previous[: self.n].copy()
 
         def run() -> np.ndarray:
-            nonlocal before
-            weights, tensor = before
+            nonlocal system_state
+            weights, tensor = system_state
             state = (self.motion, self.rho)
             reference.robust_energy(terms, *state, problems.DATA_SCALES)
             reference.smoothness_energy(self.rho, smoothness)
@@ -117,10 +119,10 @@ class FieldReferences(NumpySide):
             previous[...] = self.rho
             tensor = reference.robust_tensor(terms, *state, problems.DATA_SCALES)
             weights = reference.edge_weights(self.rho, smoothness)
-            before = weights, tensor
+            system_state = weights, tensor
             shared = weights.reshape(2, self.n, *weights.shape[1:])[:, : 1 if joint else self.n]
-            written = list(LINE_ENTRIES) if self.scheme == "line" else slice(None)
-            return np.concatenate([tensor[written], *shared])
+            entries = list(LINE_ENTRIES) if self.scheme == "line" else slice(None)
+            return np.concatenate([tensor[entries], *shared])
 
         return run
 
@@ -171,33 +173,33 @@ class FieldReferences(NumpySide):
 
     def splat(self) -> Run:
         # bench.reference.splat is a plain loop.
-        return lambda: _splatted(self.problem.flow, self.problem.residual)
+        return lambda: _splat(self.problem.flow, self.problem.residual)
 
     def hidden_pixels(self) -> Run:
         flow, residual = self.problem.flow, self.problem.residual
-        splatted = _splatted(flow, residual)
+        splat_sums = _splat(flow, residual)
 
         def run() -> np.ndarray:
             inside, corners = _arrivals(flow)
-            sums = sum(w * splatted[:, row, column] for row, column, w in corners)
-            total, badness, u, v = np.split(sums, [1, 2, 3])
+            sums = sum(w * splat_sums[:, row, column] for row, column, w in corners)
+            total, residual_sum, u, v = np.split(sums, [1, 2, 3])
             difference = np.hypot(u - flow[0, inside] * total, v - flow[1, inside] * total)
-            loses = total > problems.UNIQUENESS["density"]
-            loses &= difference > problems.UNIQUENESS["flow_difference"] * total
-            loses &= residual[inside] * total > badness
+            is_hidden = total > problems.UNIQUENESS["density"]
+            is_hidden &= difference > problems.UNIQUENESS["flow_difference"] * total
+            is_hidden &= residual[inside] * total > residual_sum
             out = np.zeros(residual.shape, bool)
-            out[inside] = loses[0]
+            out[inside] = is_hidden[0]
             return mask_moments(out)
 
         return run
 
 
-def flow_and_bend(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a flow, and its bend: the difference of the motions after and before frame 0."""
+def flow_and_flow_sum(flow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a flow, and the sum of the flows to the next and to the previous frame."""
     return flow, 0.1 * flow[::-1]
 
 
-def other_constraints(problem: Problem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def previous_constraints(problem: Problem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return constraints of another frame, trust in both frames, and masks of both."""
     trust = np.stack([0.7 * problem.mask, 1 - 0.4 * problem.mask])
     masks = np.stack([problem.mask, problem.mask[::-1]])
@@ -232,7 +234,7 @@ def _arrivals(
     ]
 
 
-def _splatted(flow: np.ndarray, residual: np.ndarray) -> np.ndarray:
+def _splat(flow: np.ndarray, residual: np.ndarray) -> np.ndarray:
     """Return Σw, Σw·residual, Σw·u, Σw·v, (4, H, W), at every pixel of frame 1."""
     inside, corners = _arrivals(flow)
     values = np.stack([np.ones_like(residual), residual, *flow])[:, inside]

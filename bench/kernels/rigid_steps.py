@@ -204,8 +204,10 @@ class DepthReferences(NumpySide):
         pose, limit = (p.motions[0, :, :3], p.motions[0, :, 3]), tolerated_square(p)
 
         def run() -> np.ndarray:
-            trusted = p.tensor * p.trust / (1 + squares(p) / limit) ** 2
-            equations = reference.frame_equations(trusted, p.inverse_depth[0], p.camera, *pose)
+            weighted_tensor = p.tensor * p.trust / (1 + squared_residuals(p) / limit) ** 2
+            equations = reference.frame_equations(
+                weighted_tensor, p.inverse_depth[0], p.camera, *pose
+            )
             return np.column_stack(equations[:2])
 
         return run
@@ -227,13 +229,19 @@ class DepthReferences(NumpySide):
 
         def run() -> np.ndarray:
             tensor = reference.robust_tensor(p.terms, identity, flow, problems.DATA_SCALES)
-            squares = sum(reference.residual(term, identity, flow) for term in p.terms)
+            squared_residuals = sum(reference.residual(term, identity, flow) for term in p.terms)
             east, south = np.pad(weights, ((0, 0), (1, 0), (1, 0)))
-            around = east[1:, 1:] + east[1:, :-1] + south[1:, 1:] + south[:-1, 1:]
-            trusted = (p.labels == 0) / (1 + squares / problems.TOLERATED_SQUARE) ** 2
+            neighbour_weights = east[1:, 1:] + east[1:, :-1] + south[1:, 1:] + south[:-1, 1:]
+            weighted_tensor = (p.labels == 0) / (
+                1 + squared_residuals / problems.TOLERATED_SQUARE
+            ) ** 2
             return np.column_stack(
                 reference.motion_system(
-                    tensor * trusted, p.inverse_depth[0], DEPTH_WEIGHT * around, p.camera, *pose
+                    tensor * weighted_tensor,
+                    p.inverse_depth[0],
+                    DEPTH_WEIGHT * neighbour_weights,
+                    p.camera,
+                    *pose,
                 )
             )
 
@@ -245,8 +253,8 @@ class DepthReferences(NumpySide):
 
         def run() -> np.ndarray:
             cost = reference.matching_cost(*p.features, problems.HYPOTHESES, p.camera, *pose)
-            away = np.abs(problems.HYPOTHESES - p.guess[..., None])
-            cost += p.trust[..., None] * np.minimum(1, away / problems.GUESS_TRUNCATION)
+            guess_difference = np.abs(problems.HYPOTHESES - p.guess[..., None])
+            cost += p.trust[..., None] * np.minimum(1, guess_difference / problems.GUESS_TRUNCATION)
             return np.moveaxis(cost * p.certain, -1, 0)
 
         return run
@@ -261,9 +269,11 @@ class DepthReferences(NumpySide):
         def run() -> np.ndarray:
             best = cost.argmin(2)[..., None]
             inner = (best > 0) & (best < cost.shape[2] - 1)
-            around = [np.clip(best + side, 0, cost.shape[2] - 1) for side in (-1, 0, 1)]
-            below, lowest, above = (np.take_along_axis(cost, index, 2) for index in around)
-            vertex = (below - above) / np.maximum(below + above - 2 * lowest, MIN_CURVATURE) / 2
+            neighbour_weights = [np.clip(best + side, 0, cost.shape[2] - 1) for side in (-1, 0, 1)]
+            below, center, above = (
+                np.take_along_axis(cost, index, 2) for index in neighbour_weights
+            )
+            vertex = (below - above) / np.maximum(below + above - 2 * center, MIN_CURVATURE) / 2
             return np.moveaxis(best + inner * np.clip(vertex, -0.5, 0.5), 2, 0)
 
         return run
@@ -303,7 +313,7 @@ def restricted_sums(problem: Problem) -> np.ndarray:
     return in_single_precision(restricted[[0, 3, 5]])
 
 
-def squares(problem: Problem) -> np.ndarray:
+def squared_residuals(problem: Problem) -> np.ndarray:
     """Return the squared residuals under the first motion, (H, W)."""
     p = problem
     identity = reference.motion_matrix(p.camera, p.height, p.width, 2)
@@ -315,7 +325,7 @@ def squares(problem: Problem) -> np.ndarray:
 
 def tolerated_square(problem: Problem) -> float:
     """Return the squared residual at which the weight in the adjustment is a quarter."""
-    return DEPTH.outlier_scale**2 * float(np.median(squares(problem)))
+    return DEPTH.outlier_scale**2 * float(np.median(squared_residuals(problem)))
 
 
 def displacement_of(problem: Problem) -> np.ndarray:

@@ -17,7 +17,7 @@ SPACING = 2.0  # px between the pixels of the second level
 STIFFNESS = {"alpha": 2.0, "beta": 30.0, "gamma": 0.1}
 CONTRASTS = (0.5, 0.2, 0.7)  # px/frame, and per px
 ANCHOR_SCALE = 0.4  # px/frame
-ANCHORED = 0.5  # share of the pixels with an anchor
+ANCHOR_SHARE = 0.5  # share of the pixels with an anchor
 
 
 class Surface:
@@ -31,7 +31,7 @@ class Surface:
             true + RHO_NOISE * rng.normal(size=(3, *true.shape))
         )
         self.step = in_single_precision(self.rho - self.previous + other - true)
-        weight = rng.uniform(0.1, 1, depth.shape) * (rng.uniform(size=depth.shape) < ANCHORED)
+        weight = rng.uniform(0.1, 1, depth.shape) * (rng.uniform(size=depth.shape) < ANCHOR_SHARE)
         self.anchors = in_single_precision(
             np.stack([weight, depth + RHO_NOISE * rng.normal(size=depth.shape)])
         )
@@ -142,11 +142,11 @@ class SecondOrderReferences(NumpySide):
     def second_order_update(self) -> Run:
         surface = self.surface
         rho, depth, smoothness = surface.rho, surface.rho[0], surface.smoothness
-        before, previous = (surface.tensor, surface.weights), surface.previous[0].copy()
+        system_state, previous = (surface.tensor, surface.weights), surface.previous[0].copy()
 
         def run() -> np.ndarray:
-            nonlocal before
-            (a, b, c), weights = before
+            nonlocal system_state
+            (a, b, c), weights = system_state
             reference.second_order_energy(rho, smoothness)
             reference.anchor_energy(depth, *surface.anchors, ANCHOR_SCALE)
             reference.second_order_half_quadratic(rho, weights, smoothness)
@@ -157,7 +157,7 @@ class SecondOrderReferences(NumpySide):
             _, tensor = reference.line_tensor(terms, depth, DATA_SCALES)
             tensor += reference.anchor_tensor(depth, *surface.anchors, ANCHOR_SCALE)
             weights = reference.second_order_weights(rho, smoothness)
-            before = tensor, weights
+            system_state = tensor, weights
             return np.concatenate([tensor, *weights])
 
         return run
@@ -189,8 +189,8 @@ class SecondOrderReferences(NumpySide):
         coarse, rho = self.problem.parents[:3], self.surface.rho.copy()
 
         def run() -> np.ndarray:
-            columns = _integrated(coarse, rho.shape[2], slope=1)
-            rho[...] += _integrated(columns, rho.shape[1], slope=2)
+            columns = _integrate(coarse, rho.shape[2], slope=1)
+            rho[...] += _integrate(columns, rho.shape[1], slope=2)
             return rho
 
         return run
@@ -200,11 +200,13 @@ class SecondOrderReferences(NumpySide):
 
         def run() -> np.ndarray:
             directions = surface.rho - surface.previous, surface.step
-            here = surface.residual(surface.previous)
+            residual = surface.residual(surface.previous)
             # Minus the matrix times a direction.
-            pulls = [surface.residual(step, np.zeros_like(step)) for step in directions]
-            sums = [-(directions[i] * pulls[j]).sum() for i, j in ((0, 0), (0, 1), (1, 1))]
-            return np.array([*sums, *(-(step * here).sum() for step in directions)])[:, None]
+            residual_changes = [surface.residual(step, np.zeros_like(step)) for step in directions]
+            sums = [
+                -(directions[i] * residual_changes[j]).sum() for i, j in ((0, 0), (0, 1), (1, 1))
+            ]
+            return np.array([*sums, *(-(step * residual).sum() for step in directions)])[:, None]
 
         return run
 
@@ -216,15 +218,15 @@ def _offsets(size: int) -> np.ndarray:
     return offsets
 
 
-def _integrated(coarse: np.ndarray, size: int, *, slope: int) -> np.ndarray:
+def _integrate(coarse: np.ndarray, size: int, *, slope: int) -> np.ndarray:
     """Return D and its slopes, interpolated along one axis; D is the integral of the slope."""
     axis = 3 - slope
     shape = [-1 if k == axis - 1 else 1 for k in range(2)]
     parent, neighbour = neighbours(size, coarse.shape[axis])
-    sense, offset = (values.reshape(shape) for values in (neighbour - parent, _offsets(size)))
+    direction, offset = (values.reshape(shape) for values in (neighbour - parent, _offsets(size)))
     near, far = coarse.take(parent, axis), coarse.take(neighbour, axis)
     fine = 0.75 * near + 0.25 * far
     # −t(1 − t) H Δv/2, H = 2h and t = ¼; outside the outermost coarse pixels, along the slope.
-    fine[0] -= 3 / 16 * SPACING * sense * (far[slope] - near[slope])
-    fine[0] += SPACING * (sense == 0) * offset * near[slope]
+    fine[0] -= 3 / 16 * SPACING * direction * (far[slope] - near[slope])
+    fine[0] += SPACING * (direction == 0) * offset * near[slope]
     return fine

@@ -41,10 +41,10 @@ class TaichiSide:
     def system(self) -> LinearSystem:
         """Return the linear system of the problem, in lanes."""
         weights = self.problem.weights(self.n, joint=self.scheme == "joint")
-        sets = weights.reshape(2, self.n, *weights.shape[1:])
+        weight_sets = weights.reshape(2, self.n, *weights.shape[1:])
         if self.scheme == "joint":
-            sets = sets[:, :1]
-        return self.system_of(np.concatenate(sets), self.n)
+            weight_sets = weight_sets[:, :1]
+        return self.system_of(np.concatenate(weight_sets), self.n)
 
     def system_of(self, weights: np.ndarray, components: int) -> LinearSystem:
         """Return the linear system of `components` unknowns with weights, (2n or 2, H, W)."""
@@ -89,12 +89,12 @@ class TaichiSide:
         `width` is that of the image, by default the width of the grid.
         """
         array, lanes = on_host(array), self.grid.lanes
-        around = halo or 1
-        strip = array.shape[2] - 2 * around
+        border = halo or 1
+        strip = array.shape[2] - 2 * border
         x = np.arange(-halo, (width or self.grid.width) + halo)
         lane = np.clip(x // strip, 0, lanes - 1)
         rows = array if halo else array[:, 1:-1]
-        return (rows if lanes > 1 else rows[..., None])[:, :, x - lane * strip + around, lane]
+        return (rows if lanes > 1 else rows[..., None])[:, :, x - lane * strip + border, lane]
 
     def reader(self, *arrays: LaneData) -> Callable[[Any], np.ndarray]:
         """Return a function that reads lane arrays as one stack of images."""

@@ -62,7 +62,7 @@ TRAFFIC = {
     "motion_fields": Traffic(read=(0, 1), written=(3, 0)),  # ρ̂ | u, v, ‖τ‖
     "image_edges": Traffic(read=(1, 0), written=(2, 0)),  # image | g
     "multiply": Traffic(read=(10, 0), written=(9, 0)),  # factor, constraints | constraints
-    "backward_flow": Traffic(read=(4, 0), written=(2, 0)),  # flow, bend | flow back
+    "backward_flow": Traffic(read=(4, 0), written=(2, 0)),  # flow, flow sum | backward flow
     # Constraints of both frames, trust, masks, u, v | constraints, tensor.
     "join": Traffic(read=(24, 0), written=(15, 0)),
     "splat": Traffic(read=(3, 0), written=(4, 0)),  # u, v, residual | sums
@@ -75,9 +75,9 @@ TRAFFIC = {
     "restrict_residual joint": Traffic(read=(7, 1), written=(0, 0.25)),
     "relayout": Traffic(read=(0, 0.25), written=(0, 0.25)),
     "add_correction": Traffic(read=(0, 1.25), written=(0, 1)),  # correction, ρ̂ | ρ̂
-    "plane_energy separate": Traffic(read=(5, 5), written=(0, 0)),  # tensor, b, ρ̂, before, step
+    "plane_energy separate": Traffic(read=(5, 5), written=(0, 0)),  # tensor, b, ρ̂, previous, step
     "plane_energy joint": Traffic(read=(7, 3), written=(0, 0)),
-    "move_to_minimum": Traffic(read=(0, 3), written=(0, 3)),  # ρ̂, before, step | the same
+    "move_to_minimum": Traffic(read=(0, 3), written=(0, 3)),  # ρ̂, previous, step | the same
     # Second order, D and two slopes: tensor without C, six weights, ρ | ρ
     "second_order_sweep": Traffic(read=(11, 0), written=(3, 0)),
     # p and c of 3 constraints, anchors, g, tensor, weights, ρ, previous | tensor, weights, previous
@@ -86,7 +86,7 @@ TRAFFIC = {
     # Words of a sweep | residual.
     "second_order_restrict_residual": Traffic(read=(11, 0), written=(0.75, 0)),
     "second_order_add_correction": Traffic(read=(3.75, 0), written=(3, 0)),  # correction, ρ | ρ
-    # Tensor without C, weights, ρ, before, step
+    # Tensor without C, weights, ρ, previous, step
     "second_order_plane_energy": Traffic(read=(17, 0), written=(0, 0)),
     "displacement": Traffic(read=(2, 0), written=(4, 0)),  # D, labels | flow, direction
     # constraints, flow, direction, D | constraints

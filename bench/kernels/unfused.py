@@ -49,7 +49,7 @@ def _sweep_unfused(
     alpha: ti.types.ndarray(dtype=ti.f32, ndim=1),  # (n,)
     relaxation: ti.f32,
     n: ti.template(),
-    sets: ti.template(),
+    weight_count: ti.template(),
     closed_form: ti.template(),
     bands: ti.i32,
     rho: LaneArray(3),  # (n, H+2, S+2), in place
@@ -61,7 +61,7 @@ def _sweep_unfused(
             if task % CHUNK == 0:
                 alphas = ti.static([bind(alpha[k]) for k in range(n)])
                 stride = rho.shape[2] & INDEX_MASK
-                starts = ti.static(component_starts(rho, max(6, 2 * sets)))
+                starts = ti.static(component_starts(rho, max(6, 2 * weight_count)))
                 band = task // CHUNK
                 for row in range(
                     first_row(band, height, bands), first_row(band + 1, height, bands)
@@ -70,7 +70,7 @@ def _sweep_unfused(
                         s = 2 * pair + (row + color) % 2 + 1
                         relax_at(
                             tensor, weights, x_hat, y_hat, rho, alphas, stride, starts,
-                            relaxation, n, sets, closed_form, False, rho, row + 1, s,
+                            relaxation, n, weight_count, closed_form, False, rho, row + 1, s,
                         )  # fmt: skip
                     for k in range(n):
                         refresh_halo(rho, k, row + 1)

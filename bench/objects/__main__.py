@@ -83,16 +83,18 @@ STATUE_NOTE = (
 def scenes(options: argparse.Namespace) -> Iterator[tuple[str, str, SyntheticPair]]:
     """Render the scenes that the options name: group, name and pair."""
     size = SMOKE_SIZE if options.smoke else SIZE
-    named = [
+    scene_list = [
         (group, f"{group} {seed}", make, seed)
         for group, (make, seeds) in SEEDS.items()
         for seed in seeds[: 1 if options.smoke else None]
     ]
-    for group, name, make, seed in choose(named, options.pairs, kind="pair", name=lambda s: s[1]):
+    for group, name, make, seed in choose(
+        scene_list, options.pairs, kind="pair", name=lambda s: s[1]
+    ):
         yield group, name, make(*size, seed=seed)
 
 
-def own_score(preset: Preset, group: str, name: str, pair: SyntheticPair) -> list[Score]:
+def interpret_and_score(preset: Preset, group: str, name: str, pair: SyntheticPair) -> list[Score]:
     """Interpret a scene, and compare labels, depth and motions with the truth."""
     settings = Settings.preset(preset, motion="objects")
     result, seconds = measure_time(
@@ -144,7 +146,8 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     with running_peers(options, FLOWS) as peers:
         missing = dict(peers.survey.missing)
         methods: dict[str, Callable[[str, str, SyntheticPair], list[Score]]] = {
-            f"tisfm {preset}, objects": partial(own_score, preset) for preset in options.preset
+            f"tisfm {preset}, objects": partial(interpret_and_score, preset)
+            for preset in options.preset
         }
         for stages in map(FlowThenDepth, peers.methods):
             methods[stages.name] = partial(stage_scores, stages)
@@ -188,16 +191,16 @@ def groups(scores: list[Any]) -> dict[str, list[Any]]:
     }
 
 
-def report(measured: dict[str, Any]) -> str:
+def report(results: dict[str, Any]) -> str:
     blocks: list[str | Table] = []
-    for group, scores in groups(measured["scores"]).items():
+    for group, scores in groups(results["scores"]).items():
         blocks += [f"## {group.capitalize()}", table(scores)]
-    if measured["statue"]:
-        blocks += ["## Statue", STATUE_NOTE, statue_table(measured["statue"])]
-    blocks += ["## Every scene", details(measured["scores"])]
-    absent = [f"missing: {name}: {why}" for name, why in measured["missing"].items()]
+    if results["statue"]:
+        blocks += ["## Statue", STATUE_NOTE, statue_table(results["statue"])]
+    blocks += ["## Every scene", details(results["scores"])]
+    missing_notes = [f"missing: {name}: {why}" for name, why in results["missing"].items()]
     title = "# Moving objects, compared with two stages"
-    return markdown_page(title, measured["conditions"], [*NOTES, *absent], *blocks)
+    return markdown_page(title, results["conditions"], [*NOTES, *missing_notes], *blocks)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -206,20 +209,20 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--statue", action="store_true", help="only the statue")
     options = parser.parse_args(arguments)
     try:
-        measured = measure(options)
+        results = measure(options)
     except (MethodFailure, OSError, ValueError) as error:
         print(f"bench.objects: {error}", file=sys.stderr)
         return 2
-    record = measured | {
-        name: [asdict(score) for score in measured[name]] for name in ("scores", "statue")
+    record = results | {
+        name: [asdict(score) for score in results[name]] for name in ("scores", "statue")
     }
-    write_results(RESULTS / output_name(options, "objects"), report(measured), record)
+    write_results(RESULTS / output_name(options, "objects"), report(results), record)
     console = wide_console()
-    for group, scores in groups(measured["scores"]).items():
+    for group, scores in groups(results["scores"]).items():
         console.print(group, table(scores).rich())
-    if measured["statue"]:
-        console.print("statue", statue_table(measured["statue"]).rich())
-    print_missing(console, measured["missing"])
+    if results["statue"]:
+        console.print("statue", statue_table(results["statue"]).rich())
+    print_missing(console, results["missing"])
     return 0
 
 

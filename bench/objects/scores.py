@@ -58,16 +58,16 @@ def compare_objects(
     errors = []
     for number in range(int(true.max()) + 1):
         mask = true == number
-        partner, iou = (0, None) if labels is None else _partner(labels, mask)
-        counted = mask & pair.visible
+        best_label, iou = (0, None) if labels is None else _best_label(labels, mask)
+        is_counted = mask & pair.visible
         if labels is not None:
-            counted &= labels == partner
+            is_counted &= labels == best_label
         truth = pose_matrix(pair.motions[0 if number == 0 else STATIC_LABELS + number - 1])
         errors.append(
             SceneObject(
                 iou=iou,
-                abs_rel=_abs_rel(depth, pair.depth, counted),
-                direction=pose_errors(motions[partner], truth).direction,
+                abs_rel=_abs_rel(depth, pair.depth, is_counted),
+                direction=pose_errors(motions[best_label], truth).direction,
             )
         )
     return tuple(errors)
@@ -80,9 +80,11 @@ def best(scores: Sequence[Score]) -> list[Score]:
         return list(scores)
 
     def error(threshold: float) -> float:
-        at = [s for s in scores if s.threshold == threshold]
+        scores_at = [s for s in scores if s.threshold == threshold]
         return (
-            fmean(t.abs_rel for s in at for t in s.objects) if all(s.objects for s in at) else 1e9
+            fmean(t.abs_rel for s in scores_at for t in s.objects)
+            if all(s.objects for s in scores_at)
+            else 1e9
         )
 
     best_threshold = min(thresholds, key=error)
@@ -99,9 +101,9 @@ def table(scores: Sequence[Score]) -> Table:
     for method in dict.fromkeys(s.method for s in scores):
         best_scores = best([s for s in scores if s.method == method])
         scenes = [s for s in best_scores if s.objects]
-        at_rest = [s.objects[0] for s in scenes]
-        moving = [item for s in scenes for item in s.objects[1:]]
-        ious = [t.iou for t in (*at_rest, *moving) if t.iou is not None]
+        static_objects = [s.objects[0] for s in scenes]
+        moving_objects = [item for s in scenes for item in s.objects[1:]]
+        ious = [t.iou for t in (*static_objects, *moving_objects) if t.iou is not None]
         one_scale = [s.one_scale for s in scenes if s.one_scale is not None]
         threshold = next((s.threshold for s in best_scores if s.threshold is not None), None)
         rows.append(
@@ -114,11 +116,11 @@ def table(scores: Sequence[Score]) -> Table:
                 f"{fmean(ious):.3f}" if ious else EMPTY_CELL,
                 *(
                     [
-                        f"{fmean(t.abs_rel for t in at_rest):.4f}",
-                        f"{fmean(t.abs_rel for t in moving):.4f}",
-                        f"{max(t.abs_rel for t in moving):.4f}",
-                        _directions(at_rest, 2),
-                        _directions(moving, 1),
+                        f"{fmean(t.abs_rel for t in static_objects):.4f}",
+                        f"{fmean(t.abs_rel for t in moving_objects):.4f}",
+                        f"{max(t.abs_rel for t in moving_objects):.4f}",
+                        _directions(static_objects, 2),
+                        _directions(moving_objects, 1),
                     ]
                     if scenes
                     else [EMPTY_CELL] * 5
@@ -153,19 +155,19 @@ def _directions(objects: Sequence[SceneObject], digits: int) -> str:
     return f"{fmean(known):.{digits}f}" if known else EMPTY_CELL
 
 
-def _partner(labels: NDArray, mask: NDArray) -> tuple[int, float]:
+def _best_label(labels: NDArray, mask: NDArray) -> tuple[int, float]:
     """Return the label that overlaps an object most, and the intersection over union."""
     overlaps = [
         float(((labels == k) & mask).sum() / ((labels == k) | mask).sum())
         for k in range(int(labels.max()) + 1)
     ]
-    partner = int(np.argmax(overlaps))
-    return partner, overlaps[partner]
+    best_label = int(np.argmax(overlaps))
+    return best_label, overlaps[best_label]
 
 
-def _abs_rel(depth: NDArray, truth: NDArray, counted: NDArray) -> float:
+def _abs_rel(depth: NDArray, truth: NDArray, is_counted: NDArray) -> float:
     """Return abs-rel of an object in its own scale; 1 if no pixel of it has a depth."""
-    part = np.where(counted, depth, np.nan)
+    part = np.where(is_counted, depth, np.nan)
     if not np.isfinite(part).any():
         return 1.0
-    return depth_errors(limit_depth(part), truth, counted).abs_rel
+    return depth_errors(limit_depth(part), truth, is_counted).abs_rel

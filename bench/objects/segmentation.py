@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from bench.objects.clips import neighbours
 
-MAX_CORNERS = 1000  # tracked between frames, at most
+MAX_CORNERS = 1000  # corners that are tracked between frames
 CORNER_THRESHOLD = 1.5  # px, RANSAC threshold for tracked corners
-MIXTURE_FRAMES = 8  # before the frame and again after it, in the mixture of Gaussians
+MIXTURE_FRAMES = 8  # on each side of the frame, for the mixture of Gaussians
 MIN_AREA = 0.002  # of the image: smaller parts are dropped as noise; set by hand
-MAX_UNSEEN_FRAMES = 10  # frames after which an unseen label is forgotten; set by hand
-MAX_LABEL = 255  # labels, at most, in 8 bits
+MAX_UNSEEN_FRAMES = 10  # frames without a label, after which it is dropped; set by hand
+MAX_LABEL = 255  # largest label in 8 bits
 
 
 def homographies(grey: Sequence[NDArray]) -> list[NDArray[np.float64]]:
@@ -24,11 +24,11 @@ def homographies(grey: Sequence[NDArray]) -> list[NDArray[np.float64]]:
     Corners are tracked by the method of Lucas and Kanade. RANSAC keeps the largest plane's corners.
     """
     matrices = []
-    for frame, following in pairwise(grey):
+    for frame, next_frame in pairwise(grey):
         corners = cv2.goodFeaturesToTrack(frame, MAX_CORNERS, 0.005, 5)
         matrix = None
         if corners is not None and len(corners) >= 4:
-            targets, status, _ = cv2.calcOpticalFlowPyrLK(frame, following, corners, None)  # type: ignore[call-overload]
+            targets, status, _ = cv2.calcOpticalFlowPyrLK(frame, next_frame, corners, None)  # type: ignore[call-overload]
             valid = status.ravel() == 1
             if valid.sum() >= 4:
                 matrix, _ = cv2.findHomography(
@@ -42,7 +42,7 @@ def homography_between(steps: Sequence[NDArray], first: int, second: int) -> NDA
     """Return the homography from one frame to another, in either direction."""
     if second < first:
         return np.asarray(np.linalg.inv(homography_between(steps, second, first)))
-    return np.asarray(reduce(lambda whole, step: step @ whole, steps[first:second], np.eye(3)))
+    return np.asarray(reduce(lambda product, step: step @ product, steps[first:second], np.eye(3)))
 
 
 def differences(
@@ -62,7 +62,9 @@ def differences(
     result = []
     for number, frame in enumerate(smooth):
         absolute = [
-            np.abs(frame - _warped(smooth[other], homography_between(steps, number, other), np.nan))
+            np.abs(
+                frame - _warp_frame(smooth[other], homography_between(steps, number, other), np.nan)
+            )
             for other in (number - gap, number + gap)
             if 0 <= other < len(frames)
         ]
@@ -88,7 +90,9 @@ def mixtures(
         model = cv2.createBackgroundSubtractorMOG2(2 * MIXTURE_FRAMES, threshold, False)
         for other in neighbours(len(frames), number, gap, gap + MIXTURE_FRAMES):
             # Where a neighbour shows no pixel, the pixel of the frame is used.
-            warped = _warped(frames[other], homography_between(steps, number, other), None, frame)
+            warped = _warp_frame(
+                frames[other], homography_between(steps, number, other), None, frame
+            )
             model.apply(warped)
         masks.append((model.apply(frame, learningRate=0) > 0).astype(np.uint8))
     return masks
@@ -98,12 +102,12 @@ def clean_mask(mask: NDArray) -> NDArray[np.uint8]:
     """Return a mask, 0 or 1, after opening and closing."""
     size = max(3, round(mask.shape[1] / 100) | 1)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    wide = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3 * size, 3 * size))
+    wide_disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (3 * size, 3 * size))
     opened = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, disc)
-    return np.asarray(cv2.morphologyEx(opened, cv2.MORPH_CLOSE, wide), np.uint8)
+    return np.asarray(cv2.morphologyEx(opened, cv2.MORPH_CLOSE, wide_disc), np.uint8)
 
 
-def _warped(
+def _warp_frame(
     frame: NDArray, matrix: NDArray, border: float | None, under: NDArray | None = None
 ) -> NDArray:
     """Return a frame warped to another; outside it a border value, or the pixels of `under`."""
@@ -177,10 +181,10 @@ def clusters(
     rows, columns = np.nonzero(moving)
     if count == 1 or len(rows) < 10 * count:
         return labels
-    near = POSITION_SCALE * moving.shape[1]
-    features = np.column_stack([residual[rows, columns], columns / near, rows / near]).astype(
-        np.float32
-    )
+    distance_unit = POSITION_SCALE * moving.shape[1]
+    features = np.column_stack(
+        [residual[rows, columns], columns / distance_unit, rows / distance_unit]
+    ).astype(np.float32)
     samples = np.linspace(0, len(rows) - 1, min(CLUSTER_SAMPLES, len(rows))).astype(np.intp)
     cv2.setRNGSeed(0)
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 20, 0.1)
@@ -193,9 +197,9 @@ def clusters(
 def _samples(flow: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     """Return some pixels and the ends of their flow, (n, 2) each, and x and y of all pixels."""
     y, x = (grid.astype(np.float32) for grid in np.mgrid[: flow.shape[0], : flow.shape[1]])
-    some = np.s_[SAMPLE_STRIDE // 2 :: SAMPLE_STRIDE, SAMPLE_STRIDE // 2 :: SAMPLE_STRIDE]
-    start = np.column_stack([x[some].ravel(), y[some].ravel()])
-    return start, start + flow[some].reshape(-1, 2), x, y
+    sample = np.s_[SAMPLE_STRIDE // 2 :: SAMPLE_STRIDE, SAMPLE_STRIDE // 2 :: SAMPLE_STRIDE]
+    start = np.column_stack([x[sample].ravel(), y[sample].ravel()])
+    return start, start + flow[sample].reshape(-1, 2), x, y
 
 
 def one_label(masks: Sequence[NDArray]) -> list[NDArray[np.uint8]]:
@@ -212,28 +216,28 @@ def track_parts(masks: Sequence[NDArray]) -> list[NDArray[np.uint8]]:
     """
     masks_by_label: dict[int, NDArray[np.bool_]] = {}
     last_frames: dict[int, int] = {}
-    following = 1
+    next_label = 1
     labels = []
     for number, mask in enumerate(masks):
         label = np.zeros(mask.shape, np.uint8)
-        pairs, used = [], set()
+        pairs, used_labels = [], set()
         components = connected_parts(mask)
         for index, part in enumerate(components):
-            for known, last in masks_by_label.items():
-                if number - last_frames[known] <= MAX_UNSEEN_FRAMES and (
-                    shared := int((part & last).sum())
+            for known_label, last in masks_by_label.items():
+                if number - last_frames[known_label] <= MAX_UNSEEN_FRAMES and (
+                    overlap := int((part & last).sum())
                 ):
-                    pairs.append((shared, index, known))
+                    pairs.append((overlap, index, known_label))
         names: dict[int, int] = {}
-        for _, index, known in sorted(pairs, reverse=True):
-            if index not in names and known not in used:
-                names[index] = known
-                used.add(known)
+        for _, index, known_label in sorted(pairs, reverse=True):
+            if index not in names and known_label not in used_labels:
+                names[index] = known_label
+                used_labels.add(known_label)
         for index, part in enumerate(components):
             if index not in names:
-                if following > MAX_LABEL:
+                if next_label > MAX_LABEL:
                     continue
-                names[index], following = following, following + 1
+                names[index], next_label = next_label, next_label + 1
             name = names[index]
             label[part] = name
             masks_by_label[name], last_frames[name] = part, number

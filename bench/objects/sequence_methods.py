@@ -62,16 +62,16 @@ class Differences:
 
     def run(self, clip: Clip) -> Iterator[ClipLabels]:
         """Yield the labels for each gap, threshold and tracker."""
-        steps, aligning = measure_time(segmentation.homographies, clip.grey)
+        steps, alignment_time = measure_time(segmentation.homographies, clip.grey)
         for gap, both in product(GAPS, (True, False)):
             differences, seconds = measure_time(
                 segmentation.differences, clip.frames, steps, gap, both=both
             )
             for threshold in DIFFERENCES:
-                masks, cleaning = measure_time(_above, differences, threshold)
+                masks, cleaning_time = measure_time(_threshold_masks, differences, threshold)
                 neighbours = "both" if both else "either"
                 choice = f"{neighbours} at {gap} frames, {threshold:g} grey levels"
-                yield from _by_tracker(choice, masks, aligning + seconds + cleaning)
+                yield from _track_labels(choice, masks, alignment_time + seconds + cleaning_time)
 
 
 class Mixtures:
@@ -81,14 +81,14 @@ class Mixtures:
 
     def run(self, clip: Clip) -> Iterator[ClipLabels]:
         """Yield the labels for each gap, threshold and tracker."""
-        steps, aligning = measure_time(segmentation.homographies, clip.grey)
+        steps, alignment_time = measure_time(segmentation.homographies, clip.grey)
         for gap, threshold in product(NEAREST, VARIANCES):
             foreground, seconds = measure_time(
                 segmentation.mixtures, clip.frames, steps, gap, threshold
             )
-            masks, cleaning = measure_time(_above, foreground, 0)
+            masks, cleaning_time = measure_time(_threshold_masks, foreground, 0)
             choice = f"from {gap} frames on, varThreshold {threshold:g}"
-            yield from _by_tracker(choice, masks, aligning + seconds + cleaning)
+            yield from _track_labels(choice, masks, alignment_time + seconds + cleaning_time)
 
 
 class FlowClusters:
@@ -100,21 +100,21 @@ class FlowClusters:
 
     def run(self, clip: Clip) -> Iterator[ClipLabels]:
         """Yield the labels for each background model, threshold, count and tracker."""
-        flows, flowing = self._flows(clip)
+        flows, flow_time = self._flows(clip)
         for name, model in MODELS.items():
-            residuals, fitting = measure_time(
+            residuals, fitting_time = measure_time(
                 lambda flows, fit: [fit(flow) for flow in flows], flows, model
             )
             for threshold in RESIDUALS:
-                masks, cleaning = measure_time(
-                    _above, [length for _, length in residuals], threshold
+                masks, cleaning_time = measure_time(
+                    _threshold_masks, [length for _, length in residuals], threshold
                 )
                 for count in COUNTS:
-                    labels, seconds = measure_time(_clustered, residuals, masks, count)
+                    labels, seconds = measure_time(_cluster_frames, residuals, masks, count)
                     labels.append(labels[-1])  # the last frame has no flow
                     choice = f"{name}, {threshold:g} px, {count} clusters"
-                    seconds += flowing + fitting + cleaning
-                    yield from _by_tracker(choice, labels, seconds, count)
+                    seconds += flow_time + fitting_time + cleaning_time
+                    yield from _track_labels(choice, labels, seconds, count)
 
     def _flows(self, clip: Clip) -> tuple[list[NDArray], float]:
         flows, seconds = [], 0.0
@@ -162,12 +162,12 @@ class Reconstruct:
         )
 
 
-def _above(values: Sequence[NDArray], threshold: float) -> list[NDArray[np.uint8]]:
+def _threshold_masks(values: Sequence[NDArray], threshold: float) -> list[NDArray[np.uint8]]:
     """Return where the values of each frame are above a threshold, after opening and closing."""
     return [segmentation.clean_mask(value > threshold) for value in values]
 
 
-def _clustered(
+def _cluster_frames(
     residuals: Sequence[tuple[NDArray, NDArray]], masks: Sequence[NDArray], count: int
 ) -> list[NDArray[np.uint8]]:
     """Return the clusters of the moving pixels of each frame."""
@@ -177,12 +177,14 @@ def _clustered(
     ]
 
 
-def _by_tracker(
+def _track_labels(
     choice: str, masks: list[NDArray], seconds: float, clusters: int = 1
 ) -> Iterator[ClipLabels]:
     """Yield the labels of each tracker; numbers of clusters change from frame to frame."""
     for name, track in TRACKERS.items():
         if name == "one label" and clusters > 1:
             continue
-        labels, tracking = measure_time(track, masks)
-        yield ClipLabels(variant=f"{choice}, {name}", labels=labels, seconds=seconds + tracking)
+        labels, tracking_time = measure_time(track, masks)
+        yield ClipLabels(
+            variant=f"{choice}, {name}", labels=labels, seconds=seconds + tracking_time
+        )

@@ -121,10 +121,13 @@ def details(scores: Sequence[ClipScore]) -> Table:
         ]
         row = [method, variant or EMPTY_CELL]
         for group in groups:
-            of_group = [s for s in rows_of_variant if s.group == group]
+            group_scores = [s for s in rows_of_variant if s.group == group]
             row += (
-                [f"{fmean(s.iou for s in of_group):.3f}", str(sum(s.switches for s in of_group))]
-                if of_group
+                [
+                    f"{fmean(s.iou for s in group_scores):.3f}",
+                    str(sum(s.switches for s in group_scores)),
+                ]
+                if group_scores
                 else [EMPTY_CELL] * 2
             )
         rows.append(row)
@@ -141,6 +144,6 @@ def _path_cells(errors: Sequence[ObjectPathErrors | None]) -> list[str]:
     shares = [100 * error.share for error in known if error.share is not None]
     if not shares:
         return [EMPTY_CELL] * 2
-    lost = len(errors) - len(known)
-    note = f" ({lost} not found)" if lost else ""
+    missing_count = len(errors) - len(known)
+    note = f" ({missing_count} not found)" if missing_count else ""
     return [f"{fmean(shares):.1f}{note}", f"{fmean(error.rotation for error in known):.1f}"]

@@ -64,8 +64,10 @@ NOTES = (
 def clips(options: argparse.Namespace) -> Iterator[Clip]:
     """Yield the clips that the options name, one at a time, since they are large."""
     folder = None if options.smoke else data_folder(options.data)
-    named: list[Path | None] = [None, *([] if folder is None else davis_folders(folder))]
-    chosen = choose(named, options.pairs, kind="clip", name=lambda it: it.name if it else "bodies")
+    clip_folders: list[Path | None] = [None, *([] if folder is None else davis_folders(folder))]
+    chosen = choose(
+        clip_folders, options.pairs, kind="clip", name=lambda it: it.name if it else "bodies"
+    )
     for item in chosen:
         yield render_clip(small=options.smoke) if item is None else davis_clip(item)
 
@@ -124,15 +126,15 @@ def failures(scores: list[ClipScore]) -> list[str]:
     return [f"{s.method} failed on {s.clip}: {s.failure}" for s in scores if s.failure]
 
 
-def report(measured: dict[str, Any]) -> str:
+def report(results: dict[str, Any]) -> str:
     blocks: list[str | Table] = []
-    for group, scores in groups(measured["scores"]).items():
+    for group, scores in groups(results["scores"]).items():
         blocks += [f"## {TITLES[group]}", table(scores)]
-    blocks += ["## Every variant", details(measured["scores"])]
-    absent = [f"missing: {name}: {why}" for name, why in measured["missing"].items()]
-    notes = [*NOTES, *absent, *failures(measured["scores"])]
+    blocks += ["## Every variant", details(results["scores"])]
+    missing_notes = [f"missing: {name}: {why}" for name, why in results["missing"].items()]
+    notes = [*NOTES, *missing_notes, *failures(results["scores"])]
     title = "# Moving objects over whole sequences"
-    return markdown_page(title, measured["conditions"], notes, *blocks)
+    return markdown_page(title, results["conditions"], notes, *blocks)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -142,19 +144,19 @@ def main(arguments: list[str] | None = None) -> int:
     )
     options = parser.parse_args(arguments)
     try:
-        measured = measure(options)
+        results = measure(options)
     except (OSError, ValueError) as error:
         print(f"bench.objects.sequences: {error}", file=sys.stderr)
         return 2
-    record = measured | {"scores": [asdict(score) for score in measured["scores"]]}
-    write_results(RESULTS / output_name(options, "objects_sequences"), report(measured), record)
+    record = results | {"scores": [asdict(score) for score in results["scores"]]}
+    write_results(RESULTS / output_name(options, "objects_sequences"), report(results), record)
     console = wide_console()
-    for group, scores in groups(measured["scores"]).items():
+    for group, scores in groups(results["scores"]).items():
         console.print(group, table(scores).rich())
-    for line in failures(measured["scores"]):
+    for line in failures(results["scores"]):
         console.print(line, highlight=False, markup=False)
-    print_missing(console, measured["missing"])
-    return 1 if failures(measured["scores"]) else 0
+    print_missing(console, results["missing"])
+    return 1 if failures(results["scores"]) else 0
 
 
 if __name__ == "__main__":

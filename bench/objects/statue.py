@@ -20,7 +20,7 @@ FOLDER = "statue"
 FRAME_STEP = 3  # frames between both frames of a pair; in that time both people move by some 3 px
 PAIR_STEP = 2  # frames from one pair to the next
 FOCALS = (384.0, 600.0)  # px: the guess for this image size, and the paper's; the truth is unknown
-ESTIMATED = "estimated"  # origin of the focal length from all frames
+ESTIMATED_ORIGIN = "estimated"  # origin of the focal length from all frames
 MIN_LABELLED_SHARE = 0.5  # share of labelled pixels of a labelled patch
 # Centres of the man's upper body and of the cyclist's in every second frame, px.
 MAN = (
@@ -42,7 +42,7 @@ class StatuePair:
     method: str
     pair: str
     focal: float  # px
-    origin: str = ""  # `ESTIMATED`, or nothing
+    origin: str = ""  # `ESTIMATED_ORIGIN`, or nothing
     labels: int  # number of labels
     man: bool  # whether most of his patch has a label other than the background's
     cyclist: bool
@@ -62,7 +62,7 @@ def focals_of(data: Path) -> dict[float, str]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GuessedFocalWarning)
         result = tisfm.reconstruct(data / FOLDER, depth_of="none")
-    return {**dict.fromkeys(FOCALS, ""), result.camera.focal: ESTIMATED}
+    return {**dict.fromkeys(FOCALS, ""), result.camera.focal: ESTIMATED_ORIGIN}
 
 
 def interpret_pair(

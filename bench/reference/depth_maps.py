@@ -31,12 +31,12 @@ def render_depth(
         projected = inverse_depth[y, x] / target[2, y, x]
         column, row = (target[:2, y, x] / target[2, y, x]) * camera.focal + (cx, cy)
         around = [(np.floor(row) + j, np.floor(column) + i) for j in (0, 1) for i in (0, 1)]
-        closest = np.floor(row + 0.5), np.floor(column + 0.5)
-        for image, positions in ((nearest, around), (central, [closest])):
+        nearest_pixel = np.floor(row + 0.5), np.floor(column + 0.5)
+        for image, positions in ((nearest, around), (central, [nearest_pixel])):
             for down, right in positions:
                 if 0 <= down < height and 0 <= right < width:
-                    at = int(down), int(right)
-                    image[at] = max(image[at], projected)
+                    pixel = int(down), int(right)
+                    image[pixel] = max(image[pixel], projected)
     out, spread = np.zeros((2, height, width))
     for y, x in np.ndindex(height, width):
         for start, min_weight in ((nearest[y, x], 0.5), (central[y, x], 1e-3)):
@@ -79,16 +79,19 @@ def _sample(
     if source[2] <= 0:
         return 0.0, 0.0
     column, row = source[:2] / source[2] * camera.focal + centre
-    expected, total, depth, spread = value / source[2], 0.0, 0.0, 0.0
+    surface_depth, total, depth, spread = value / source[2], 0.0, 0.0, 0.0
     for down in (int(np.floor(row)), int(np.floor(row)) + 1):
         for right in (int(np.floor(column)), int(np.floor(column)) + 1):
             if not (0 <= down < height and 0 <= right < width):
                 continue
-            value_there = inverse_depth[down, right]
-            if value_there > 0 and abs(value_there - expected) < MAX_RELATIVE_STEP * expected:
+            pixel_depth = inverse_depth[down, right]
+            if (
+                pixel_depth > 0
+                and abs(pixel_depth - surface_depth) < MAX_RELATIVE_STEP * surface_depth
+            ):
                 weight = (1 - abs(column - right)) * (1 - abs(row - down))
                 total += weight
-                depth += weight * value_there
+                depth += weight * pixel_depth
                 spread += weight * deviation[down, right]
     if total <= min_weight:
         return 0.0, 0.0
@@ -112,12 +115,14 @@ def merge_depths(inverse_depths: Array, deviations: Array, tolerance: float) -> 
     votes = np.where(known, inverse_depths / np.maximum(deviations, floor), 0) ** 2
     difference = np.abs(inverse_depths[:, None] - inverse_depths)
     agree = difference < tolerance * np.maximum(inverse_depths[:, None], inverse_depths)
-    shares = votes * (agree & known & known[:, None])  # (N, N, H, W): vote of source j for source i
-    best = shares.sum(axis=1).argmax(axis=0)
-    chosen = np.take_along_axis(shares, best[None, None], axis=0)[0]
-    total = np.maximum(chosen.sum(axis=0), np.finfo(float).tiny)
+    votes_for_source = votes * (
+        agree & known & known[:, None]
+    )  # (N, N, H, W): vote of source j for source i
+    best = votes_for_source.sum(axis=1).argmax(axis=0)
+    best_votes = np.take_along_axis(votes_for_source, best[None, None], axis=0)[0]
+    total = np.maximum(best_votes.sum(axis=0), np.finfo(float).tiny)
     depth, deviation = (
-        (chosen * values).sum(axis=0) / total for values in (inverse_depths, deviations)
+        (best_votes * values).sum(axis=0) / total for values in (inverse_depths, deviations)
     )
     return depth, deviation
 
@@ -125,19 +130,19 @@ def merge_depths(inverse_depths: Array, deviations: Array, tolerance: float) -> 
 def align_depth_edges(
     inverse_depth: Array,  # (H, W)
     deviation: Array,
-    middle: Array,  # (H, W), between the two surfaces nearby; 0 if there is only one surface
+    threshold: Array,  # (H, W), between the two surfaces nearby; 0 if there is only one surface
     frame: Array,
-    similar: float,  # grey levels: a pixel that differs by this much from the centre weighs 1/e
+    grey_decay: float,  # grey levels: a pixel that differs by this much from the centre weighs 1/e
 ) -> tuple[Array, Array]:
     """Return inverse depth and deviation whose edges lie where the frame has edges."""
     depth, spread = inverse_depth.copy(), deviation.copy()
     rows, columns = np.indices(frame.shape)
-    for y, x in zip(*np.nonzero(middle), strict=True):
+    for y, x in zip(*np.nonzero(threshold), strict=True):
         square = (rows - y) ** 2 + (columns - x) ** 2
-        votes = np.exp(-np.abs(frame - frame[y, x]) / similar) / (1 + DISTANCE_WEIGHT * square)
+        votes = np.exp(-np.abs(frame - frame[y, x]) / grey_decay) / (1 + DISTANCE_WEIGHT * square)
         votes *= (abs(rows - y) <= RADIUS) & (abs(columns - x) <= RADIUS)
-        nearer = inverse_depth[y, x] > middle[y, x]
-        other_votes = votes * ((inverse_depth > middle[y, x]) != nearer)
+        is_near = inverse_depth[y, x] > threshold[y, x]
+        other_votes = votes * ((inverse_depth > threshold[y, x]) != is_near)
         if other_votes.sum() > votes.sum() / 2:
             depth[y, x] = (other_votes * inverse_depth).sum() / other_votes.sum()
             spread[y, x] = (other_votes * deviation).sum() / other_votes.sum()

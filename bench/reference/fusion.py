@@ -13,14 +13,14 @@ MAX_INTERPOLATION_DISTANCE = 2.0  # truncations from the depth of the nearest pi
 
 def inverse_depth_at(image: Floats, x: float, y: float) -> float:
     """Return inverse depth at a position, interpolated if its four pixels show one surface."""
-    own = float(image[_nearest(x, y)])
+    pixel_value = float(image[_nearest(x, y)])
     left, top = int(np.floor(x)), int(np.floor(y))
     across, down = x - left, y - top
     rows = np.clip([top, top + 1], 0, image.shape[0] - 1)
     columns = np.clip([left, left + 1], 0, image.shape[1] - 1)
     around = image[np.ix_(rows, columns)]
-    if own <= 0 or around.min() <= 0 or np.ptp(around) >= MAX_RELATIVE_STEP * around.max():
-        return own
+    if pixel_value <= 0 or around.min() <= 0 or np.ptp(around) >= MAX_RELATIVE_STEP * around.max():
+        return pixel_value
     return float(np.array([1 - down, down]) @ around @ np.array([1 - across, across]))
 
 
@@ -62,7 +62,7 @@ def compare(
     return sums, colors
 
 
-def mark_shown(
+def mark_visible_pixels(
     points: Floats,
     relative_deviation: Floats,
     inverse_depth: Floats,
@@ -73,7 +73,7 @@ def mark_shown(
 ) -> np.ndarray:
     """Return the pixels that show one of the points, (H, W) bool."""
     height, width = inverse_depth.shape
-    shown = np.zeros((height, width), bool)
+    is_visible = np.zeros((height, width), bool)
     for point, relative in zip(points, relative_deviation, strict=True):
         u, v, z = projection @ np.append(point, 1)
         if z <= 0 or not _inside(u / z, v / z, inverse_depth):
@@ -83,8 +83,10 @@ def mark_shown(
                 if 0 <= row < height and 0 <= column < width:
                     limit = tolerance * np.hypot(relative / z, deviation[row, column])
                     difference = abs(inverse_depth[row, column] - 1 / z)
-                    shown[row, column] |= inverse_depth[row, column] > 0 and difference <= limit
-    return shown
+                    is_visible[row, column] |= (
+                        inverse_depth[row, column] > 0 and difference <= limit
+                    )
+    return is_visible
 
 
 def blocks_near(
@@ -139,9 +141,9 @@ def integrate(
         if d > 0 and abs(1 / d - z) <= MAX_INTERPOLATION_DISTANCE * truncation:
             d = inverse_depth_at(inverse_depth, u / z, v / z)
         if d > 0 and 1 / d - z >= -truncation:
-            deep = deviation[pixel] / d**2
+            depth_deviation = deviation[pixel] / d**2
             distance[b, voxel] = min((1 / d - z) / truncation, 1)
-            weight[b, voxel] = spread**2 / (deep**2 + spread**2)
+            weight[b, voxel] = spread**2 / (depth_deviation**2 + spread**2)
             near[b, voxel] = 1 / d - z <= truncation
     return distance, weight, near
 

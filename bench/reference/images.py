@@ -107,8 +107,10 @@ def hidden_pixels(flow: Array, residual: Array, *, density: float, flow_differen
             total, *means = np.sum([w * sums[:, j, i] for j, i, w in around], axis=0)
             mean_residual, u, v = np.array(means) / total
             distance = np.hypot(u - flow[0, row, column], v - flow[1, row, column])
-            worse = residual[row, column] > mean_residual
-            hidden[row, column] = total > density and distance > flow_difference and worse
+            has_larger_residual = residual[row, column] > mean_residual
+            hidden[row, column] = (
+                total > density and distance > flow_difference and has_larger_residual
+            )
     return hidden
 
 

@@ -44,7 +44,7 @@ def minimise(
     Only the solver of tisfm has multigrid and an estimate of the remaining error.
     """
     energies: list[float] = []
-    half: list[float] = []
+    half_quadratic: list[float] = []
     changes: list[float] = []
     for _ in range(outer_iterations):
         before = rho.copy()
@@ -56,12 +56,14 @@ def minimise(
             minimise_over_flowless(motion, weights, rho, alpha)
         data = robust_energy(terms, motion, rho, scales)
         energies.append(data + alpha * smoothness_energy(rho, smoothness))
-        half.append(half_quadratic_energy(tensor, motion, rho, weights, alpha, smoothness))
+        half_quadratic.append(
+            half_quadratic_energy(tensor, motion, rho, weights, alpha, smoothness)
+        )
         change, size = np.linalg.norm(rho - before), np.linalg.norm(rho)
         changes.append(float(change / size) if size > 0 else 0.0)
         if change <= tolerance * size:
-            return Minimisation(energies, half, changes, True)
-    return Minimisation(energies, half, changes, False)
+            return Minimisation(energies, half_quadratic, changes, True)
+    return Minimisation(energies, half_quadratic, changes, False)
 
 
 def flowless_fields(motion: Array) -> Array:

@@ -10,7 +10,7 @@ from tisfm.camera import Camera
 Array = np.ndarray  # of float64
 
 RADIUS = 5  # px, of the windows
-SIMILAR = 20.0  # grey levels, scale of the weights of a window's pixels
+SIMILARITY_SCALE = 20.0  # grey levels, scale of the weights of a window's pixels
 SKIPPED_COST = 4.0  # cost of a pixel that is not compared
 MISSING_PLANE = -1e30  # D of a missing plane
 OUTSIDE_COST = 1.0  # cost of a plane that moves the pixel out of the frame
@@ -31,7 +31,7 @@ def window_cost(
     """Return 1 − c at every pixel: c is the weighted correlation of its window and the warped one.
 
     The window has every second pixel of 11×11, without corners; beyond both images their borders
-    repeat. A pixel that differs from the centre by n·`SIMILAR` levels weighs
+    repeat. A pixel that differs from the centre by n·`SIMILARITY_SCALE` levels weighs
     1/(1 + n + n²/2 + n³/6).
 
     The cost, (H, W), is 1 if the pixel leaves frame 1. The second array is the variance of the
@@ -44,7 +44,7 @@ def window_cost(
     for down, across in ((j, i) for j in offsets for i in offsets if abs(i * j) < RADIUS**2):
         window = padded[RADIUS + down :, RADIUS + across :][:height, :width]
         grey0 = window - levels0
-        n = np.abs(grey0) / SIMILAR
+        n = np.abs(grey0) / SIMILARITY_SCALE
         weight = 1 / (1 + n * (1 + n * (1 / 2 + n / 6)))
         x, y, z = target + across * east + down * south
         grey1 = bilinear(levels1, y / z, x / z) - levels0
@@ -80,14 +80,15 @@ def plane_cost(
     return window_cost(levels0, levels1, target, east, south, noise=noise)
 
 
-def best_mean(costs: Array, best: int, *, absent: float) -> Array:
+def best_mean(costs: Array, best: int, *, missing_cost: float) -> Array:
     """Return the mean of the `best` lowest costs of several frames, (M, …).
 
-    If fewer frames show a hypothesis, the missing costs are `absent`; if none shows it, they are 1.
+    If fewer frames show a hypothesis, the missing costs are `missing_cost`; if none shows
+    it, they are 1.
     """
-    shown = costs != OUTSIDE_COST
-    some = np.where(shown.any(axis=0), absent, OUTSIDE_COST)
-    lowest = np.sort(np.where(shown, costs, np.inf), axis=0)[:best]
+    is_visible = costs != OUTSIDE_COST
+    some = np.where(is_visible.any(axis=0), missing_cost, OUTSIDE_COST)
+    lowest = np.sort(np.where(is_visible, costs, np.inf), axis=0)[:best]
     mean: Array = np.where(np.isfinite(lowest), lowest, some).mean(axis=0)
     return mean
 
@@ -101,7 +102,7 @@ def improve_planes(
     draws: int,
     spread: float,  # range of the first random change of D and of the slopes
     tilt: float,
-    steepest: float,  # range of the slopes of a random plane, as a share of D
+    max_slope: float,  # range of the slopes of a random plane, as a share of D
     bounds: tuple[float, float],  # range of D
     seed: int,
 ) -> Array:
@@ -113,26 +114,26 @@ def improve_planes(
     rows, columns = np.indices(state.shape[1:])
     number = 4 * (rows * state.shape[2] + columns) * (draws + 1)
     random = _hash(number.astype(np.uint32) + _hash(np.array([seed], np.uint32)))
-    changing = ((rows + columns) % 2 == color) & (state[3] < SKIPPED_COST)
+    is_updated = ((rows + columns) % 2 == color) & (state[3] < SKIPPED_COST)
     best = state.copy()
     for turn in range(5 + draws):
         plane = best[:3]
         if turn < 4:
             plane = _neighbours(state, *((1, 0), (-1, 0), (0, 1), (0, -1))[turn])
         else:
-            drawn = np.stack([_hash(random + np.uint32(k)) >> 8 for k in range(3)]) / 2**24
+            random_units = np.stack([_hash(random + np.uint32(k)) >> 8 for k in range(3)]) / 2**24
             random = random + np.uint32(4)
             if turn == 4:
-                depth = bounds[0] + (bounds[1] - bounds[0]) * drawn[0]
-                plane = np.stack([depth, *(steepest * depth.clip(0) * (2 * drawn[1:] - 1))])
+                depth = bounds[0] + (bounds[1] - bounds[0]) * random_units[0]
+                plane = np.stack([depth, *(max_slope * depth.clip(0) * (2 * random_units[1:] - 1))])
             else:
-                reach = np.array([spread, tilt, tilt])[:, None, None] / 2 ** (turn - 5)
-                plane = plane + reach * (2 * drawn - 1)
+                ranges = np.array([spread, tilt, tilt])[:, None, None] / 2 ** (turn - 5)
+                plane = plane + ranges * (2 * random_units - 1)
         change = np.abs(plane - best[:3])
-        tried = changing & (plane[0] > bounds[0]) & (plane[0] < bounds[1])
-        tried &= change[0] + RADIUS * (change[1] + change[2]) > MIN_CHANGE
+        is_tried = is_updated & (plane[0] > bounds[0]) & (plane[0] < bounds[1])
+        is_tried &= change[0] + RADIUS * (change[1] + change[2]) > MIN_CHANGE
         candidate = np.concatenate([plane, cost(plane)[None]])
-        best = np.where(tried & (candidate[3] < best[3]), candidate, best)
+        best = np.where(is_tried & (candidate[3] < best[3]), candidate, best)
     return best
 
 
@@ -144,10 +145,10 @@ def _neighbours(state: Array, down: int, across: int) -> Array:
     best[0], best[3] = MISSING_PLANE, SKIPPED_COST
     for distance in DISTANCES:
         row, column = rows + distance * down, columns + distance * across
-        within = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+        is_inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
         neighbour = state[:, row.clip(0, height - 1), column.clip(0, width - 1)]
         neighbour[0] -= distance * (across * neighbour[1] + down * neighbour[2])
-        best = np.where(within & (neighbour[3] < best[3]), neighbour, best)
+        best = np.where(is_inside & (neighbour[3] < best[3]), neighbour, best)
     return best[:3]
 
 

@@ -46,12 +46,12 @@ def aggregate(cost: Array, guide: Array, *, step: float, jump: float, edge: floa
         path = np.rot90(cost, turn).copy()
         grey = np.rot90(guide, turn)
         for row in range(1, len(path)):
-            before = path[row - 1]
-            lowest = before.min(axis=-1, keepdims=True)
+            previous = path[row - 1]
+            min_cost = previous.min(axis=-1, keepdims=True)
             penalty = np.maximum(step, jump / (1 + np.abs(grey[row] - grey[row - 1]) / edge))
-            best = np.minimum(before, lowest + penalty[:, None])
-            best[:, 1:] = np.minimum(best[:, 1:], before[:, :-1] + step)
-            best[:, :-1] = np.minimum(best[:, :-1], before[:, 1:] + step)
-            path[row] += best - lowest
+            best = np.minimum(previous, min_cost + penalty[:, None])
+            best[:, 1:] = np.minimum(best[:, 1:], previous[:, :-1] + step)
+            best[:, :-1] = np.minimum(best[:, :-1], previous[:, 1:] + step)
+            path[row] += best - min_cost
         total += np.rot90(path, -turn)
     return total

@@ -48,8 +48,8 @@ def second_order_measures(rho: Array, spacing: float) -> Array:
 def _of_edges(near: Array, far: Array, slope: int, spacing: float) -> Array:
     """Return r, |Δv| and ΔD between neighbours, along the axis of a slope."""
     step, first, second = far - near
-    bend = step - spacing * (near[slope] + far[slope]) / 2
-    return np.stack([bend, np.hypot(first, second), step])
+    slope_error = step - spacing * (near[slope] + far[slope]) / 2
+    return np.stack([slope_error, np.hypot(first, second), step])
 
 
 def second_order_energy(rho: Array, smoothness: SecondOrder) -> float:
@@ -151,12 +151,12 @@ def second_order_residual(
         a, b, c = weights[:, side][near]
         step, first, second = rho[far] - rho[near]
         slope = 1 + side
-        bend = a * (step - spacing / 2 * (rho[near][slope] + rho[far][slope]))
-        pull = np.stack([bend + c * step, b * first, b * second])
+        slope_error = a * (step - spacing / 2 * (rho[near][slope] + rho[far][slope]))
+        pull = np.stack([slope_error + c * step, b * first, b * second])
         residual[near] += pull
         residual[far] -= pull
         for end in (near, far):
-            residual[end][slope] += spacing / 2 * bend
+            residual[end][slope] += spacing / 2 * slope_error
     return residual
 
 

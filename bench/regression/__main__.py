@@ -16,7 +16,7 @@ from typing import Any, get_args
 
 from rich.console import Console
 
-from bench.regression.checkout import Checkout, Paired, measure_interpretation, measure_starts
+from bench.regression.checkout import Checkout, PairedTimes, measure_interpretation, measure_starts
 from bench.regression.pairs import QUICK_SIZE, SIZE, TIMED_SIZE, Pair, real_pairs, scene_pairs
 from bench.regression.report import Case, Findings, difference, markdown, out_of_bounds
 from bench.shared.command import choose, options_parser
@@ -28,7 +28,7 @@ from tisfm.settings import Preset
 PARTS = ("answers", "times", "starts")
 POSE_GIVEN = "camera, pose given"
 MOTIONS = ("field", "camera", POSE_GIVEN, "objects")
-TIMED = (
+TIMED_CASES = (
     ("fast", "field"),
     ("balanced", "field"),
     ("accurate", "field"),
@@ -94,14 +94,14 @@ def compare(workers: Sequence[Worker], pair: Pair, preset: str, motion: str, pat
             statuses.append(worker.ask(request(path, preset, motion, answer))["status"])
         except WorkerDied as death:
             statuses.append(str(death))
-    answered = all(answer.exists() for answer in answers)
+    are_complete = all(answer.exists() for answer in answers)
     return Case(
         pair=pair.name,
         preset=preset,
         motion=motion,
         before=statuses[0],
         after=statuses[1],
-        difference=difference(*answers) if answered else None,
+        difference=difference(*answers) if are_complete else None,
     )
 
 
@@ -129,11 +129,11 @@ def measure(options: argparse.Namespace, console: Console) -> Findings:
                         if motion != POSE_GIVEN or pair.pose is not None:
                             cases.append(compare(workers, pair, preset, motion, path))
                             console.print(" ".join(cases[-1].cells()), highlight=False)
-        times: list[Paired] = []
+        times: list[PairedTimes] = []
         static, moving, _ = scene_pairs(*(QUICK_SIZE if options.quick else TIMED_SIZE))
         paths = {pair.name: pair.store(folder) for pair in (static, moving)}
         if "times" in options.only:
-            for preset, motion in TIMED:
+            for preset, motion in TIMED_CASES:
                 pair = moving if motion == "objects" else static
                 question = request(paths[pair.name], preset, motion)
                 name = f"{preset}, {motion}, {pair.name}"
@@ -158,10 +158,10 @@ def revision(folder: Path) -> str:
     """Return the commit of a checkout, marked if files differ from it."""
     command = ["git", "-C", str(folder), "describe", "--always", "--dirty", "--exclude=*"]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        process_result = subprocess.run(command, capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):
         return "unknown revision"
-    return done.stdout.strip()
+    return process_result.stdout.strip()
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -46,20 +46,22 @@ class Checkout:
         """Raise RuntimeError if a worker has loaded code of tisfm from another folder."""
         worker.start()
         folder = self.folder.resolve()
-        strange = [file for file in worker.ready["files"] if not Path(file).is_relative_to(folder)]
-        if strange:
+        foreign_files = [
+            file for file in worker.ready["files"] if not Path(file).is_relative_to(folder)
+        ]
+        if foreign_files:
             raise RuntimeError(
-                f"{self.python} in {self.folder} loads {strange[0]}: expected the code of this "
-                "folder; name an interpreter of its own"
+                f"{self.python} in {self.folder} loads {foreign_files[0]}: expected the code of "
+                "this folder; name an interpreter of its own"
             )
 
     def start(self, request: dict[str, Any], **options: Any) -> tuple[Sample, Sample]:
         """Return the times of the import in a fresh process, and until its first answer."""
-        started = time.perf_counter()
+        start_time = time.perf_counter()
         worker = self.worker(**options)
         try:
             answer = worker.ask(request)
-            seconds = time.perf_counter() - started
+            seconds = time.perf_counter() - start_time
         finally:
             worker.close()
         if "seconds" not in answer:
@@ -71,7 +73,7 @@ Sides = tuple[float, float]  # before, after
 
 
 @dataclass(frozen=True, kw_only=True)
-class Paired:
+class PairedTimes:
     """Wall and processor time of one call: (before, after) in s, for each round."""
 
     name: str
@@ -79,7 +81,7 @@ class Paired:
     cpu: Sequence[Sides]
 
     @classmethod
-    def of(cls, name: str, samples: Sequence[tuple[Sample, Sample]]) -> "Paired":
+    def of(cls, name: str, samples: Sequence[tuple[Sample, Sample]]) -> "PairedTimes":
         """Return the times of both sides, (before, after) in each round."""
         wall, cpu = (tuple((before[k], after[k]) for before, after in samples) for k in (0, 1))
         return cls(name=name, seconds=wall, cpu=cpu)
@@ -101,14 +103,14 @@ def measure_in_turns(rounds: int, measure: Callable[[int], Any]) -> list[tuple[A
     samples = []
     for turn in range(rounds):
         first = turn % 2
-        measured = {side: measure(side) for side in (first, 1 - first)}
-        samples.append((measured[0], measured[1]))
+        values = {side: measure(side) for side in (first, 1 - first)}
+        samples.append((values[0], values[1]))
     return samples
 
 
 def measure_interpretation(
     name: str, workers: Sequence[Worker], request: dict[str, Any], rounds: int
-) -> Paired:
+) -> PairedTimes:
     """Time one request of two running workers.
 
     A quick request also runs once untimed before each timed call, so that caches are warm.
@@ -120,15 +122,15 @@ def measure_interpretation(
             raise RuntimeError(f"{name}: {answer['status']}")
         return answer["seconds"], answer["cpu"]
 
-    pace = max(ask(side, times=2)[0] for side in (0, 1))  # the first call compiles kernels
-    times = 2 if pace < FAST_CALL else 1
+    max_seconds = max(ask(side, times=2)[0] for side in (0, 1))  # the first call compiles kernels
+    times = 2 if max_seconds < FAST_CALL else 1
     samples = measure_in_turns(rounds, lambda side: ask(side, times))
-    return Paired.of(name, samples)
+    return PairedTimes.of(name, samples)
 
 
 def measure_starts(
     checkouts: Sequence[Checkout], request: dict[str, Any], rounds: int, **options: Any
-) -> list[Paired]:
+) -> list[PairedTimes]:
     """Time fresh processes: the import, and the first answer of a cold and of a warm start.
 
     Each cold start has an empty folder for compiled kernels; the following warm start uses these
@@ -141,11 +143,11 @@ def measure_starts(
         turns[side] += 1
         cache = exchange / f"cache-{side}-{turns[side]}"
         _, cold = checkouts[side].start(request, cache=cache, **options)
-        imported, warm = checkouts[side].start(request, cache=cache, **options)
-        return imported, cold, warm
+        import_times, warm = checkouts[side].start(request, cache=cache, **options)
+        return import_times, cold, warm
 
     samples = measure_in_turns(rounds, measure)
     return [
-        Paired.of(name, [(before[k], after[k]) for before, after in samples])
+        PairedTimes.of(name, [(before[k], after[k]) for before, after in samples])
         for k, name in enumerate(("import tisfm", "cold start", "warm start"))
     ]

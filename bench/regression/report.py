@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.regression.checkout import Paired
+from bench.regression.checkout import PairedTimes
 from bench.shared.results import EMPTY_CELL, Table, markdown_page
 
 MAX_ROUNDING = 1e-3  # px: a larger difference of flow is not only rounding
@@ -33,7 +33,7 @@ def difference(before: Path, after: Path) -> Difference:
     """Return the difference of two stored results."""
     with np.load(before) as first, np.load(after) as second:
         old, new = dict(first), dict(second)
-    flow = _apart(old["flow"], new["flow"]).max(axis=-1)
+    flow = _absolute_difference(old["flow"], new["flow"]).max(axis=-1)
     depth = relative(old["inverse_depth"], new["inverse_depth"])
     return Difference(
         flow_max=float(flow.max()),
@@ -50,7 +50,7 @@ def difference(before: Path, after: Path) -> Difference:
 
 def relative(before: NDArray, after: NDArray) -> NDArray:
     """Return |after − before| / |before|; small |before| are raised to `MIN_RELATIVE_DEPTH`."""
-    difference = _apart(before, after)
+    difference = _absolute_difference(before, after)
     known = np.abs(before[np.isfinite(before)])
     floor = MIN_RELATIVE_DEPTH * float(np.median(known)) if known.size else 0.0
     unit = np.maximum(np.abs(before), floor)
@@ -58,7 +58,7 @@ def relative(before: NDArray, after: NDArray) -> NDArray:
         return np.where(difference > 0, difference / np.where(np.isfinite(unit), unit, 1.0), 0.0)
 
 
-def _apart(before: NDArray, after: NDArray) -> NDArray:
+def _absolute_difference(before: NDArray, after: NDArray) -> NDArray:
     """Return |after − before|: 0 where both are equal or NaN, and inf where only one is finite."""
     old, new = np.asarray(before, np.float64), np.asarray(after, np.float64)
     equal = (old == new) | (np.isnan(old) & np.isnan(new))
@@ -126,7 +126,7 @@ class Findings:
 
     conditions: dict[str, Any]
     cases: Sequence[Case] = ()
-    times: Sequence[Paired] = ()
+    times: Sequence[PairedTimes] = ()
     missing: dict[str, str] = field(default_factory=dict)
 
 
@@ -177,7 +177,7 @@ def _summary(cases: Sequence[Case]) -> str:
     return text
 
 
-def _time_cells(paired: Paired) -> list[str]:
+def _time_cells(paired: PairedTimes) -> list[str]:
     def text(cpu: bool) -> str:
         low, middle, high = paired.ratios(cpu=cpu)
         return f"{middle:.3f} [{low:.3f}–{high:.3f}]"

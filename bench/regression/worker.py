@@ -21,10 +21,13 @@ from typing import Any
 # The finder of an editable installation would load the kernels of another checkout.
 sys.meta_path[:] = [f for f in sys.meta_path if getattr(f, "__name__", "") != "_EditableFinder"]
 
-_used, _started = time.process_time(), time.perf_counter()
+_start_cpu, _start_time = time.process_time(), time.perf_counter()
 import tisfm  # noqa: E402
 
-IMPORT = time.perf_counter() - _started, time.process_time() - _used  # includes the import of NumPy
+IMPORT = (
+    time.perf_counter() - _start_time,
+    time.process_time() - _start_cpu,
+)  # includes the import of NumPy
 
 import numpy as np  # noqa: E402
 
@@ -43,9 +46,9 @@ def answer(pair: dict[str, Any], request: dict[str, Any]) -> dict[str, Any]:
     arguments = {name: value for name, value in pair.items() if name != "pose" or request["pose"]}
     try:
         for _ in range(request["times"]):
-            used, started = time.process_time(), time.perf_counter()
+            start_cpu, start_time = time.process_time(), time.perf_counter()
             result = tisfm.interpret(**arguments, settings=settings)
-            seconds, cpu = time.perf_counter() - started, time.process_time() - used
+            seconds, cpu = time.perf_counter() - start_time, time.process_time() - start_cpu
     except Exception as error:  # of any kind: checkouts may raise different ones
         return {"status": " ".join(f"{type(error).__name__}: {error}".split())}
     if request["answer"]:

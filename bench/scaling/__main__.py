@@ -125,8 +125,12 @@ def bars(figures: dict[str, Any]) -> Iterator[Bar]:
         if entry["threads"] != threads:
             continue
         preset = entry["preset"]
-        for (bounded, size), bound in MAX_OVER_PEER.items():
-            if bounded == preset and size in entry["times"] and entry["peer"]["size"] == PEER_SIZE:
+        for (bounded_preset, size), bound in MAX_OVER_PEER.items():
+            if (
+                bounded_preset == preset
+                and size in entry["times"]
+                and entry["peer"]["size"] == PEER_SIZE
+            ):
                 name = (
                     f"{preset}, {size}, {threads} threads, time over {entry['peer']['name']}'s at "
                 )
@@ -137,8 +141,8 @@ def bars(figures: dict[str, Any]) -> Iterator[Bar]:
             name = f"{preset}, {threads} threads, growth of time per pixel, {MIDDLE} to {LARGE}"
             yield Bar(name, growth, MAX_GROWTH)
         if LARGEST in figures["memory"].get(preset, {}):
-            used = gib(figures["memory"][preset][LARGEST], LARGEST)
-            yield Bar(f"{preset}, {LARGEST}, peak memory, GiB", used, MAX_MEMORY)
+            memory = gib(figures["memory"][preset][LARGEST], LARGEST)
+            yield Bar(f"{preset}, {LARGEST}, peak memory, GiB", memory, MAX_MEMORY)
 
 
 def report(figures: dict[str, Any]) -> str:
@@ -146,14 +150,14 @@ def report(figures: dict[str, Any]) -> str:
     sizes, runs = figures["sizes"], figures["runs"]
     rows = []
     for entry in runs:
-        before = None
+        previous_time = None
         for size in sizes:
             times, time = entry["times"][size], per_pixel(entry, size)
             spread = f"{median(times):.3g} [{min(times):.3g}–{max(times):.3g}]"
-            growth = cell(None if before is None else time / before, ".2f")
+            growth = cell(None if previous_time is None else time / previous_time, ".2f")
             name = [entry["preset"], str(entry["threads"]), size]
             rows.append([*name, spread, f"{time:.0f}", growth])
-            before = time
+            previous_time = time
     blocks: list[str | list[str] | Table] = [
         "`two_blocks` at every size; its motion grows with the size. Median of the rounds, in "
         "brackets the lowest and the highest. Growth: time per pixel over the previous size's.",
@@ -177,7 +181,7 @@ def report(figures: dict[str, Any]) -> str:
     if len(threads) > 1:
         rows = []
         for preset in figures["presets"]:
-            one, two = (_of(figures, preset, threads[k])["times"] for k in (0, -1))
+            one, two = (_find_run(figures, preset, threads[k])["times"] for k in (0, -1))
             rows.append([preset, *(f"{median(one[s]) / median(two[s]):.2f}" for s in sizes)])
         title = f"## Speed-up from {threads[0]} to {threads[-1]} threads"
         blocks += [title, Table(["preset", *sizes], rows)]
@@ -190,19 +194,19 @@ def report(figures: dict[str, Any]) -> str:
     blocks += ["## Peak memory", Table(head, rows, text_columns=2)]
     blocks.append(f"## Time of each stage, % of a pair ({threads[-1]} threads)")
     for preset in figures["presets"]:
-        shares = _of(figures, preset, threads[-1])["shares"]
+        shares = _find_run(figures, preset, threads[-1])["shares"]
         labels = dict.fromkeys(label for size in sizes for label in shares[size])
         rows = [
             [label, *(f"{100 * shares[size].get(label, 0):.1f}" for size in sizes)]
             for label in labels
         ]
         blocks += [f"### {preset}", Table(["stage", *sizes], rows)]
-    if checked := list(map(str, bars(figures))):
-        blocks += ["## Bars", checked]
+    if bar_lines := list(map(str, bars(figures))):
+        blocks += ["## Bars", bar_lines]
     return markdown_page("# Scaling of a whole pair", figures["conditions"], *blocks)
 
 
-def _of(figures: dict[str, Any], preset: str, threads: int) -> dict[str, Any]:
+def _find_run(figures: dict[str, Any], preset: str, threads: int) -> dict[str, Any]:
     return next(
         entry
         for entry in figures["runs"]

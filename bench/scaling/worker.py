@@ -67,15 +67,15 @@ class Stopwatch:
     def _timed(self, function: Callable[..., Any], label: str) -> Callable[..., Any]:
         def timed(*arguments: Any, **options: Any) -> Any:
             self._inside.append(0.0)
-            started = time.perf_counter()
+            start_time = time.perf_counter()
             try:
                 return function(*arguments, **options)
             finally:
-                spent = time.perf_counter() - started
+                elapsed = time.perf_counter() - start_time
                 inside = self._inside.pop()
-                self.seconds[label] = self.seconds.get(label, 0.0) + spent - inside
+                self.seconds[label] = self.seconds.get(label, 0.0) + elapsed - inside
                 if self._inside:
-                    self._inside[-1] += spent
+                    self._inside[-1] += elapsed
 
         return timed
 

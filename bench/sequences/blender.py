@@ -82,7 +82,7 @@ def differences(
         angles.max(),
         abs(np.degrees(float(views["angle"]) - angle)),
         np.concatenate(offsets).max(),
-        np.abs(255 * _srgb(views["colors"][:, :3]) - colors).max(),
+        np.abs(255 * _to_srgb(views["colors"][:, :3]) - colors).max(),
     )
     return dict(zip(BARS, map(float, values), strict=True))
 
@@ -106,7 +106,7 @@ def views_in_blender(
 
 def report(figures: dict[str, dict[str, float]], conditions: dict[str, Any]) -> str:
     rows = [
-        [name, *(f"{one[name]:.2g}" for one in figures.values()), f"{bar:g}"]
+        [name, *(f"{errors[name]:.2g}" for errors in figures.values()), f"{bar:g}"]
         for name, bar in BARS.items()
     ]
     caption = "Largest differences from the reconstruction:"
@@ -153,11 +153,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Console(markup=False, highlight=False).print(text)
     write_results(RESULTS / options.output, text)
     return exit_code(
-        Bar(name, one[name], bar) for one in figures.values() for name, bar in BARS.items()
+        Bar(name, errors[name], bar) for errors in figures.values() for name, bar in BARS.items()
     )
 
 
-def _srgb(light: NDArray[np.float64]) -> NDArray[np.float64]:
+def _to_srgb(light: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return amounts of light as sRGB (IEC 61966-2-1)."""
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 

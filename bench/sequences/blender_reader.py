@@ -17,11 +17,11 @@ from bpy_extras.object_utils import world_to_camera_view
 
 def main(folder: Path, request: Path, answer: Path) -> None:
     """Read an export as docs/exports.md describes."""
-    wanted = np.load(request)
+    request_data = np.load(request)
     lens = json.loads((folder / "lens.json").read_text())
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
-    scene.render.fps = int(wanted["rate"])
+    scene.render.fps = int(request_data["rate"])
     scene.render.resolution_x, scene.render.resolution_y = lens["width"], lens["height"]
     for name in ("camera.gltf", "points.glb"):
         bpy.ops.import_scene.gltf(filepath=str(folder / name))
@@ -30,9 +30,9 @@ def main(folder: Path, request: Path, answer: Path) -> None:
     angle = scene.camera.data.angle_y
     for name, value in lens["blender"].items():
         setattr(scene.camera.data, name, value)
-    points = [cloud.matrix_world @ cloud.data.vertices[int(k)].co for k in wanted["points"]]
+    points = [cloud.matrix_world @ cloud.data.vertices[int(k)].co for k in request_data["points"]]
     poses, positions = [], []
-    for frame in wanted["frames"]:
+    for frame in request_data["frames"]:
         scene.frame_set(int(frame))
         poses.append(np.array(scene.camera.matrix_world))
         positions.append([world_to_camera_view(scene, scene.camera, point) for point in points])
@@ -41,7 +41,7 @@ def main(folder: Path, request: Path, answer: Path) -> None:
         answer,
         poses=np.array(poses),
         positions=np.array(positions),
-        colors=np.array([colors[int(k)].color for k in wanted["points"]]),
+        colors=np.array([colors[int(k)].color for k in request_data["points"]]),
         angle=angle,
         version=bpy.app.version_string,
     )

@@ -25,14 +25,14 @@ from tisfm.datasets import find_sequences
 from tisfm.evaluation.sequences import compare_sequence
 from tisfm.reconstruction.chunks.entry import ChunkedRun
 
-SELECTED = (
+SEQUENCES = (
     ("new_tsukuba", (36, 60)),
     ("hololens", (30,)),
     ("kitti_odometry_06", (30,)),
     ("tum_fr1_rpy", (60,)),
 )
 ROUNDS = (450, (150,))  # frames of the film, and of its chunks
-AT_ONCE = 100_000  # frames of a chunk: more than any sequence has
+ONE_CHUNK = 100_000  # frames of a chunk: more than any sequence has
 SETTINGS = tisfm.Settings.preset("fast", motion="camera")
 FIGURES = {  # name of a figure → its format
     "sequence": "",
@@ -68,7 +68,7 @@ def real_rows(data: Path, name: str, chunks: Sequence[int], folder: Path) -> Ite
     (sequence,) = find_sequences(data / name)
     loaded = sequence.load(1)
     files = [str(file) for file in loaded.frames]
-    for chunk in (AT_ONCE, *chunks):
+    for chunk in (ONE_CHUNK, *chunks):
         result, count = reconstruct_in_chunks(
             files, folder / f"{name}-{chunk}", loaded.camera, chunk
         )
@@ -77,8 +77,9 @@ def real_rows(data: Path, name: str, chunks: Sequence[int], folder: Path) -> Ite
         )
         largest, depth = errors.pieces[0], errors.depth
         values = (
-            name, errors.frames, chunk if chunk < AT_ONCE else "at once", count, len(errors.pieces),
-            largest.frames, None if largest.share is None else 100 * largest.share,
+            name, errors.frames, chunk if chunk < ONE_CHUNK else "at once", count,
+            len(errors.pieces), largest.frames,
+            None if largest.share is None else 100 * largest.share,
             None if depth is None else depth.error, None if depth is None else depth.scale_spread,
         )  # fmt: skip
         yield dict(zip(FIGURES, values, strict=True))
@@ -86,14 +87,15 @@ def real_rows(data: Path, name: str, chunks: Sequence[int], folder: Path) -> Ite
 
 def film_rows(count: int, chunks: Sequence[int], folder: Path) -> Iterator[Row]:
     source, camera = render_frames(count)
-    for chunk in (AT_ONCE, *chunks):
+    for chunk in (ONE_CHUNK, *chunks):
         result, number = reconstruct_in_chunks(
             str(source), folder / f"rounds-{chunk}", camera, chunk, count
         )
         inside = result.piece == result.largest_piece
         error = path_error(poses_of_segment(result, result.largest_piece), circle_path(count))
         values = (
-            f"rounds, {WIDTH}×{HEIGHT} px", count, chunk if chunk < AT_ONCE else "at once", number,
+            f"rounds, {WIDTH}×{HEIGHT} px", count, chunk if chunk < ONE_CHUNK else "at once",
+            number,
             int(result.piece.max()) + 1, int(inside.sum()), error, None, None,
         )  # fmt: skip
         yield dict(zip(FIGURES, values, strict=True))
@@ -111,7 +113,7 @@ def main(arguments: list[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as temporary:
         folder = options.folder or Path(temporary)
         parts = [
-            real_rows(data, name, chunks, folder) for name, chunks in SELECTED if data is not None
+            real_rows(data, name, chunks, folder) for name, chunks in SEQUENCES if data is not None
         ]
         if not options.no_film:
             parts.append(film_rows(*ROUNDS, folder))

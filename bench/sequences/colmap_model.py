@@ -42,13 +42,13 @@ ERROR = "median reprojection error, px"
 def figures(model: Any) -> dict[str, float]:
     """Return the contents of a model, and the errors of its points triangulated again."""
     images, points = model.images, model.points3D
-    long = {number for number, point in points.items() if point.track.length() >= MIN_TRACK}
+    long_points = {number for number, point in points.items() if point.track.length() >= MIN_TRACK}
     tracks = [
-        sum(point.has_point3D() and point.point3D_id in long for point in image.points2D)
+        sum(point.has_point3D() and point.point3D_id in long_points for point in image.points2D)
         for image in images.values()
     ]
     errors: list[float] = []
-    lost = 0
+    lost_count = 0
     for point in points.values():
         track_images = [images[element.image_id] for element in point.track.elements]
         positions = np.array(
@@ -63,12 +63,12 @@ def figures(model: Any) -> dict[str, float]:
             [model.cameras[image.camera_id] for image in track_images],
         )
         if triangulated is None:
-            lost += 1
+            lost_count += 1
             continue
         for image, position in zip(track_images, positions, strict=True):
-            projected = image.project_point(triangulated["xyz"])
+            projection = image.project_point(triangulated["xyz"])
             errors.append(
-                np.inf if projected is None else float(np.linalg.norm(projected - position))
+                np.inf if projection is None else float(np.linalg.norm(projection - position))
             )
     return {
         "images": len(images),
@@ -76,7 +76,7 @@ def figures(model: Any) -> dict[str, float]:
         f"least tracks of {MIN_TRACK} frames in an image": min(tracks),
         ERROR: float(np.median(errors)),
         "its 90th percentile, px": float(np.percentile(errors, 90)),
-        "points that cannot be triangulated again": lost,
+        "points that cannot be triangulated again": lost_count,
     }
 
 
@@ -112,7 +112,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         write_colmap(result, Path(folder) / "model")
         values = figures(pycolmap.Reconstruction(str(Path(folder) / "model" / "sparse" / "0")))
-    checked = bars(values, len(loaded.frames))
+    model_bars = bars(values, len(loaded.frames))
     conditions = {
         "command": "python -m bench.sequences.colmap_model",
         "sequence": SEQUENCE,
@@ -120,10 +120,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "pycolmap": pycolmap.__version__,
         **machine(),
     }
-    text = report(values, checked, conditions)
+    text = report(values, model_bars, conditions)
     Console(markup=False, highlight=False).print(text)
     write_results(RESULTS / options.output, text)
-    return exit_code(checked)
+    return exit_code(model_bars)
 
 
 if __name__ == "__main__":

@@ -45,7 +45,7 @@ def run(request: dict[str, Any]) -> dict[str, Any]:
     options = pycolmap.IncrementalPipelineOptions(num_threads=threads)
     options.ba_refine_focal_length = options.ba_refine_extra_params = False
     options.mapper.num_threads = threads
-    started = time.perf_counter()
+    start_time = time.perf_counter()
     pycolmap.extract_features(
         database,
         images,
@@ -55,7 +55,7 @@ def run(request: dict[str, Any]) -> dict[str, Any]:
     )
     pycolmap.match_sequential(database, matching_options=matching)
     models = pycolmap.incremental_mapping(database, images, output, options)
-    seconds = time.perf_counter() - started
+    seconds = time.perf_counter() - start_time
     poses: list[Any] = [None] * len(request["names"])
     piece = [-1] * len(poses)
     number = {name: index for index, name in enumerate(request["names"])}

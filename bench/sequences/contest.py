@@ -207,19 +207,21 @@ def run_contest(
         if loaded.camera is None:
             missing = missing | {entry.name: "its camera is unknown"}
             continue
-        of_entry: dict[str, Score] = {}
+        entry_scores: dict[str, Score] = {}
         for turn in range(rounds):
             for method in methods:
                 step(f"{entry.name}: {method.name}")
-                for score in _scores(method, entry, loaded, loaded.camera, scored=turn == 0):
-                    of_entry[score.method] = _merge_rounds(of_entry.get(score.method), score)
-        scores += of_entry.values()
+                for score in _scores(method, entry, loaded, loaded.camera, is_scored=turn == 0):
+                    entry_scores[score.method] = _merge_rounds(
+                        entry_scores.get(score.method), score
+                    )
+        scores += entry_scores.values()
         keep(scores)
     return SequenceContest(conditions=conditions, scores=tuple(scores), missing=missing)
 
 
 def _scores(
-    method: Method, entry: Entry, loaded: LoadedSequence, camera: Camera, *, scored: bool
+    method: Method, entry: Entry, loaded: LoadedSequence, camera: Camera, *, is_scored: bool
 ) -> list[Score]:
     """Run a method once; return a score for each of its results."""
     with tempfile.TemporaryDirectory(prefix="tisfm-sequences-") as folder:
@@ -231,7 +233,7 @@ def _scores(
         scores = []
         for name, file in outcome.results.items():
             evaluation = None
-            if scored:
+            if is_scored:
                 stored = StoredResult(output, file)
                 evaluation = compare_sequence(
                     entry.sequence,
@@ -256,12 +258,14 @@ def _scores(
         return scores
 
 
-def _merge_rounds(before: Score | None, after: Score) -> Score:
+def _merge_rounds(earlier_score: Score | None, new_score: Score) -> Score:
     """Return the score of the first round with the times of the next one."""
-    if before is None or after.failure:
-        return after
-    peak = max(before.peak or 0, after.peak or 0)
-    return replace(before, seconds=before.seconds + after.seconds, peak=peak, failure="")
+    if earlier_score is None or new_score.failure:
+        return new_score
+    peak = max(earlier_score.peak or 0, new_score.peak or 0)
+    return replace(
+        earlier_score, seconds=earlier_score.seconds + new_score.seconds, peak=peak, failure=""
+    )
 
 
 def _relative_focal(
@@ -276,7 +280,7 @@ def _relative_focal(
 def _request(command: list[str | Path], question: dict[str, Any], threads: int) -> dict[str, Any]:
     """Send one request to a process, and return its answer."""
     try:
-        done = subprocess.run(
+        process_result = subprocess.run(
             command,
             input=json.dumps(question) + "\n",
             capture_output=True,
@@ -288,9 +292,9 @@ def _request(command: list[str | Path], question: dict[str, Any], threads: int) 
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise MethodFailure(str(error)) from None
-    lines = done.stdout.splitlines()
-    if done.returncode or not lines:
-        words = " ".join(done.stderr.strip().splitlines()[-MESSAGE_LINES:])
-        raise MethodFailure(f"its process ended with status {done.returncode}: {words}")
+    lines = process_result.stdout.splitlines()
+    if process_result.returncode or not lines:
+        words = " ".join(process_result.stderr.strip().splitlines()[-MESSAGE_LINES:])
+        raise MethodFailure(f"its process ended with status {process_result.returncode}: {words}")
     answer: dict[str, Any] = json.loads(lines[-1])
     return answer

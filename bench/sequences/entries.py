@@ -10,7 +10,7 @@ from bench.shared.sequences import data_folder
 from tisfm.datasets import DatasetSequence, LoadedSequence, find_sequences
 
 # Folder, and the step from frame to frame.
-SELECTED = (
+SEQUENCES = (
     ("new_tsukuba", 1),
     ("tartanair", 1),
     ("hololens", 1),
@@ -52,7 +52,7 @@ def data_entries(data: Path) -> tuple[list[Entry], dict[str, str]]:
     """Return the sequences found in a folder, and why others are missing, by name."""
     entries: list[Entry] = []
     missing: dict[str, str] = {}
-    choices: list[tuple[str, int, int | None]] = [(name, step, None) for name, step in SELECTED]
+    choices: list[tuple[str, int, int | None]] = [(name, step, None) for name, step in SEQUENCES]
     choices += [(name, 1, thinned) for name, thinned in THINNED]
     for name, step, thinned in choices:
         try:

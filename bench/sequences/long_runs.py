@@ -88,31 +88,31 @@ def speed(times: Sequence[float], first: int, last: int) -> float:
     return (last - first) / (times[last - 1] - times[first - 1])
 
 
-def measure_workers(source: Path, rounds: int, begun: int) -> list[tuple[float, float]]:
+def measure_workers(source: Path, rounds: int, start_pairs: int) -> list[tuple[float, float]]:
     """Return pairs per second of one and of two workers with one thread each, for every round."""
     speeds = []
     for _ in range(rounds):
-        both = []
+        speeds_of_round = []
         for workers in (1, 2):
             with tempfile.TemporaryDirectory() as folder, cluster(workers) as address:
                 wait_for(start(str(source), "-o", folder, "--cluster", address, "--threads", "1"))
                 times = finish_times(Path(folder))
-                both.append(speed(times, begun, len(times)))
-        speeds.append((both[0], both[1]))
+                speeds_of_round.append(speed(times, start_pairs, len(times)))
+        speeds.append((speeds_of_round[0], speeds_of_round[1]))
     return speeds
 
 
 def many_frames(folder: Path, count: int) -> Path:
     """Make a folder of small frames: two frames of a scene alternate, as hard links."""
     scene = static_scene("sideways", *FRAME_SIZE)
-    kinds = []
+    files = []
     for number, frame in enumerate((scene.frame0, scene.frame1)):
-        kinds.append(folder / f"kind{number}.png")
-        write_png(kinds[-1], np.clip(np.rint(frame), 0, 255).astype(np.uint8))
+        files.append(folder / f"kind{number}.png")
+        write_png(files[-1], np.clip(np.rint(frame), 0, 255).astype(np.uint8))
     target = folder / "frames"
     target.mkdir()
     for number in range(count):
-        os.link(kinds[number % 2], target / f"frame{number:06d}.png")
+        os.link(files[number % 2], target / f"frame{number:06d}.png")
     return target
 
 
@@ -129,13 +129,13 @@ def measure_frames(count: int) -> dict[str, float]:
                 early = last
         wait_for(process)
         times = finish_times(output)
-        stretch = min(SPEED_PAIRS, len(times) // 4)
+        segment = min(SPEED_PAIRS, len(times) // 4)
         return {
             "pairs": len(times),
             "memory early, MB": early,
             "memory at the end, MB": last,
-            "pairs/s early": speed(times, EARLY_PAIRS, EARLY_PAIRS + stretch),
-            "pairs/s at the end": speed(times, len(times) - stretch, len(times)),
+            "pairs/s early": speed(times, EARLY_PAIRS, EARLY_PAIRS + segment),
+            "pairs/s at the end": speed(times, len(times) - segment, len(times)),
         }
 
 
@@ -194,11 +194,11 @@ def bars(results: Results) -> list[Bar]:
         ratio = float(np.median([two / one for one, two in results.workers]))
         result.append(Bar("two workers over one", ratio, MIN_SPEEDUP, at_most=False))
     if results.frames:
-        of = results.frames
-        memory = of["memory at the end, MB"] / of["memory early, MB"] - 1
-        slower = 1 - of["pairs/s at the end"] / of["pairs/s early"]
+        figures = results.frames
+        memory = figures["memory at the end, MB"] / figures["memory early, MB"] - 1
+        speed_loss = 1 - figures["pairs/s at the end"] / figures["pairs/s early"]
         result.append(Bar("growth of memory until the end, share", memory, MAX_CHANGE))
-        result.append(Bar("loss of speed until the end, share", slower, MAX_CHANGE))
+        result.append(Bar("loss of speed until the end, share", speed_loss, MAX_CHANGE))
     for name, counts in results.kills.items():
         result.append(Bar(f"{name}: other bytes after kills", counts["other bytes"], 0))
     return result
@@ -231,16 +231,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--kills", type=int, default=KILLS, help="of each kind; 0 for none")
     options = parser.parse_args(arguments)
     rounds, frames, kills = options.worker_rounds, options.pairs, options.kills
-    pairs, begun = PAIRS, START_PAIRS
+    pairs, start_pairs = PAIRS, START_PAIRS
     if options.smoke:
-        rounds, frames, kills, pairs, begun = 1, 3 * EARLY_PAIRS, 1, 5, 2
+        rounds, frames, kills, pairs, start_pairs = 1, 3 * EARLY_PAIRS, 1, 5, 2
     results = Results()
     with tempfile.TemporaryDirectory() as folder:
         size = FRAME_SIZE if options.smoke else (540, 960)
         Path(folder, "large").mkdir()
         source = options.source or render_frames(Path(folder, "large"), pairs, *size)
         if rounds:
-            results.workers = measure_workers(source, rounds, begun)
+            results.workers = measure_workers(source, rounds, start_pairs)
         if frames:
             results.frames = measure_frames(frames)
         if kills:

@@ -28,8 +28,8 @@ from bench.sequences.rendered_films import (
     depth_in_one_scale,
     depth_of_pair,
     depth_of_window,
+    end_gap,
     flicker,
-    gap,
     keyframe_path,
     path_error,
     poses_of_segment,
@@ -72,7 +72,7 @@ class Checks:
         self._settings, self._smoke, self._seeds = settings, smoke, seeds
         self.errors: Errors = {}
 
-    def of(self, kind: str, room: str) -> Iterator[Bar]:
+    def bars_of(self, kind: str, room: str) -> Iterator[Bar]:
         """Yield the bars of a kind of film in a room."""
         makers: dict[str, Callable[[str, int], Iterator[Bar]]] = {
             "trip": self._trip,
@@ -102,7 +102,7 @@ class Checks:
         ).film()
 
     @contextmanager
-    def _reconstructed(self, film: Film) -> Iterator[tisfm.Reconstruction]:
+    def _reconstruct(self, film: Film) -> Iterator[tisfm.Reconstruction]:
         with tempfile.TemporaryDirectory(prefix="tisfm-rendered-") as folder:
             yield tisfm.reconstruct(
                 film.frames, camera=film.camera, settings=self._settings, folder=Path(folder)
@@ -111,13 +111,13 @@ class Checks:
     def _trip(self, room: str, seed: int) -> Iterator[Bar]:
         count = 16 if self._smoke else 200
         film = self._film("trip", round_trip_path(count), room, seed)
-        with self._reconstructed(film) as result:
+        with self._reconstruct(film) as result:
             name = f"round trip of {count} frames, {room}, seed {seed}"
             in_one_piece = len(np.unique(result.piece)) == 1 and result.piece[0] == 0
             yield Bar(f"{name}: frames with a pose", float((result.piece == 0).sum()), count, False)
             yield Bar(
                 f"{name}: gap, % of the path",
-                gap(result.poses, film.poses) if in_one_piece else None,
+                end_gap(result.poses, film.poses) if in_one_piece else None,
                 0.3,
             )
             yield Bar(f"{name}: ATE, %", path_error(result.poses, film.poses), None)
@@ -128,7 +128,7 @@ class Checks:
         frames = film.frames.copy()
         first = (count - blank) // 2
         frames[first : first + blank] = 0
-        with self._reconstructed(replace(film, frames=frames)) as result:
+        with self._reconstruct(replace(film, frames=frames)) as result:
             poses = poses_of_segment(result)
         name = f"{blank} of {count} frames blanked, {room}, seed {seed}"
         posed = float((result.piece == 0).sum())
@@ -138,7 +138,7 @@ class Checks:
     def _turn(self, room: str, seed: int) -> Iterator[Bar]:
         part = 6 if self._smoke else 20
         film = self._film("turn", turn_path(part, part, part), room, seed)
-        with self._reconstructed(film) as result:
+        with self._reconstruct(film) as result:
             poses = result.poses
         name = f"{part} frames of rotation, {room}, seed {seed}"
         change = None
@@ -149,7 +149,7 @@ class Checks:
     def _walk(self, room: str, seed: int) -> Iterator[Bar]:
         count = 12 if self._smoke else 40
         film = self._film("walk", walk_path(count), room, seed)
-        with self._reconstructed(film) as result:
+        with self._reconstruct(film) as result:
             name = f"walk of {count} frames, {room}, seed {seed}"
             in_one_piece = bool((result.piece == 0).all())
             yield Bar(f"{name}: ATE, %", path_error(result.poses, film.poses), None)
@@ -183,7 +183,7 @@ class Checks:
         ate: list[float] = []
         for readout, treatment in ((0.0, "ignored"), (None, "estimated and undone")):
             camera = replace(film.camera, readout=readout)
-            with self._reconstructed(replace(film, camera=camera)) as result:
+            with self._reconstruct(replace(film, camera=camera)) as result:
                 ate.append(path_error(poses_of_segment(result), film.poses))
                 yield Bar(f"{name}, {treatment}: ATE, %", ate[-1], None)
                 error = 100 * depth_in_one_scale(film, result)
@@ -194,14 +194,8 @@ class Checks:
 
 
 KINDS = ("trip", "blanked", "turn", "walk", "frames", "shutter")
-RECORDED_OPTIONS = (
-    "preset",
-    "kinds",
-    "rooms",
-    "seeds",
-    "threads",
-    "smoke",
-)  # options named in the results
+# Options that appear in the results.
+RECORDED_OPTIONS = ("preset", "kinds", "rooms", "seeds", "threads", "smoke")
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -241,7 +235,7 @@ def write(conditions: dict[str, Any], bars: list[Bar], errors: Errors, path: Pat
     for bar in bars:
         value = "not measured" if bar.value is None else f"{bar.value:.3g}"
         bound = "" if bar.bound is None else f"{'≤' if bar.at_most else '≥'} {bar.bound:.3g}"
-        verdict = "" if bar.bound is None else "met" if bar.met else "**not met**"
+        verdict = "" if bar.bound is None else "met" if bar.is_met else "**not met**"
         rows.append([bar.name, value, bound, verdict])
     blocks: list[str | Table] = [Table(["", "figure", "bar", ""], rows)]
     if errors:
@@ -269,7 +263,7 @@ def main(arguments: list[str] | None = None) -> int:
     console, bars = Console(), list[Bar]()
     for kind in options.kinds:
         for room in options.rooms:
-            for bar in checks.of(kind, room):
+            for bar in checks.bars_of(kind, room):
                 console.print(str(bar), highlight=False, soft_wrap=True)
                 bars.append(bar)
             write(conditions, bars, checks.errors, RESULTS / options.output)

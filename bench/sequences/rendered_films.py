@@ -73,9 +73,11 @@ def round_trip_path(count: int) -> np.ndarray:
 
     It looks at one corner of the room, and to the left and right of the corner.
     """
-    at = np.linspace(0, 2 * np.pi, count)
-    positions = np.stack([0.6 * np.sin(at), 0.08 * np.sin(2 * at), 0.5 * (1 - np.cos(at))], axis=1)
-    return _looking(positions, 0.35 * np.sin(at))
+    phase = np.linspace(0, 2 * np.pi, count)
+    positions = np.stack(
+        [0.6 * np.sin(phase), 0.08 * np.sin(2 * phase), 0.5 * (1 - np.cos(phase))], axis=1
+    )
+    return _horizontal_poses(positions, 0.35 * np.sin(phase))
 
 
 def circle_path(count: int, of_round: int = 225) -> np.ndarray:
@@ -83,25 +85,29 @@ def circle_path(count: int, of_round: int = 225) -> np.ndarray:
 
     Rounds have different radii and heights.
     """
-    at = 2 * np.pi * np.arange(count) / of_round
-    radius = 0.7 + 0.15 * np.sin(at / 3.1)
-    height = 0.2 * np.sin(at / 4.3)
-    return _looking(np.stack([radius * np.sin(at), height, radius * np.cos(at)], axis=1), at)
+    phase = 2 * np.pi * np.arange(count) / of_round
+    radius = 0.7 + 0.15 * np.sin(phase / 3.1)
+    height = 0.2 * np.sin(phase / 4.3)
+    return _horizontal_poses(
+        np.stack([radius * np.sin(phase), height, radius * np.cos(phase)], axis=1), phase
+    )
 
 
 def turn_path(before: int, turning: int, after: int, step: float = 0.02) -> np.ndarray:
     """Return the poses of a camera that moves, turns on the spot, and moves on; step in rad."""
-    going = np.array([0.035, 0, 0.02])
+    motion_per_frame = np.array([0.035, 0, 0.02])
     shift = np.r_[np.arange(before), np.full(turning, before - 1), before + np.arange(after)]
     angle = np.r_[np.zeros(before), 1 + np.arange(turning), np.full(after, turning)] * step
-    return _looking((shift - shift[0])[:, None] * going, angle - step * turning / 2)
+    return _horizontal_poses(
+        (shift - shift[0])[:, None] * motion_per_frame, angle - step * turning / 2
+    )
 
 
 def shake_path(count: int) -> np.ndarray:
     """Return the poses of a moving camera that shakes by up to 3° between frames."""
-    at = np.arange(count)
-    turns = 0.03 * np.sin(0.9 * at), 0.04 * (np.cos(0.7 * at) - 1), 0.02 * np.sin(1.3 * at)
-    twists = np.stack([0.04 * at, 0.01 * np.sin(at), 0.02 * at, *turns], axis=1)
+    phase = np.arange(count)
+    turns = 0.03 * np.sin(0.9 * phase), 0.04 * (np.cos(0.7 * phase) - 1), 0.02 * np.sin(1.3 * phase)
+    twists = np.stack([0.04 * phase, 0.01 * np.sin(phase), 0.02 * phase, *turns], axis=1)
     return np.array([pose_matrix(twist) for twist in twists])
 
 
@@ -112,7 +118,7 @@ def keyframe_path(count: int) -> np.ndarray:
     return np.array([pose_matrix(factor * motion) for factor in factors])
 
 
-def _looking(positions: np.ndarray, angles: np.ndarray) -> np.ndarray:
+def _horizontal_poses(positions: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """Return the poses of a camera at positions, (N, 3), turned right by angles, (N,) rad."""
     poses = np.tile(np.eye(4), (len(positions), 1, 1))
     for pose, position, angle in zip(poses, positions, angles, strict=True):
@@ -138,22 +144,22 @@ def path_error(poses: Poses, true: Poses) -> float:
     return 100 * absolute_errors(poses[known], true[known]).similarity / path_length(true)
 
 
-def gap(poses: Poses, true: Poses) -> float:
+def end_gap(poses: Poses, true: Poses) -> float:
     """Return the error of the last position relative to the first pose, % of the true path.
 
     The whole path has one scale.
     """
     alignment = align(centres(poses), centres(true))
-    both = alignment.scale * _from_first(poses), _from_first(true)
-    return 100 * float(np.linalg.norm(both[0] - both[1])) / path_length(true)
+    last_positions = alignment.scale * _from_first(poses), _from_first(true)
+    return 100 * float(np.linalg.norm(last_positions[0] - last_positions[1])) / path_length(true)
 
 
 def scale_change(poses: Poses, true: Poses, before: slice, after: slice) -> float:
     """Return the difference between the scales of two parts of a path, %."""
-    one, other = (
+    scale_before, scale_after = (
         align(centres(poses[part]), centres(true[part])).scale for part in (before, after)
     )
-    return 100 * abs(other / one - 1)
+    return 100 * abs(scale_after / scale_before - 1)
 
 
 def flicker(film: Film, result: tisfm.Reconstruction, settings: tisfm.Settings) -> float:
@@ -167,8 +173,10 @@ def flicker(film: Film, result: tisfm.Reconstruction, settings: tisfm.Settings) 
         tisfm.interpret(*film.frames[k : k + 2], camera=film.camera, settings=settings)
         for k in numbers
     ]
-    alone = [_log_scale(film.depth[k], pair.depth) for k, pair in zip(numbers, pairs, strict=True)]
-    return float(spread / np.nanstd(alone))
+    pair_scales = [
+        _log_scale(film.depth[k], pair.depth) for k, pair in zip(numbers, pairs, strict=True)
+    ]
+    return float(spread / np.nanstd(pair_scales))
 
 
 def share_of_mesh(film: Film, result: tisfm.Reconstruction) -> float:
@@ -236,14 +244,17 @@ def _distance(points: np.ndarray, film: Film) -> np.ndarray:
         x, y, z = ((points - pose[:3, 3]) @ pose[:3, :3]).T
         ahead = np.where(z > 0, z, 1)
         u, v = (film.camera.focal * a / ahead + c for a, c in zip((x, y), center, strict=True))
-        on = np.flatnonzero((z > 0) & (u >= 0) & (u < width - 1) & (v >= 0) & (v < height - 1))
-        column, row = u[on].astype(np.intp), v[on].astype(np.intp)
+        pixels = np.flatnonzero((z > 0) & (u >= 0) & (u < width - 1) & (v >= 0) & (v < height - 1))
+        column, row = u[pixels].astype(np.intp), v[pixels].astype(np.intp)
         # At an edge, the nearest surface of four pixels counts.
         distances = np.stack(
-            [z[on] / depth[row + j, column + i] - 1 for i, j in itertools.product((0, 1), (0, 1))]
+            [
+                z[pixels] / depth[row + j, column + i] - 1
+                for i, j in itertools.product((0, 1), (0, 1))
+            ]
         )
         nearest = np.take_along_axis(distances, np.abs(distances).argmin(axis=0)[None], axis=0)[0]
-        shown = nearest < MIN_HIDDEN_DISTANCE
-        total[on[shown]] += np.abs(nearest[shown])
-        count[on[shown]] += 1
+        is_visible = nearest < MIN_HIDDEN_DISTANCE
+        total[pixels[is_visible]] += np.abs(nearest[is_visible])
+        count[pixels[is_visible]] += 1
     return np.where(count > 0, total / np.maximum(count, 1), np.inf)

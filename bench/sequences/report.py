@@ -43,7 +43,7 @@ NOTES = (
 Column = tuple[str, Callable[[Score], str]]
 
 
-def _of(figure: Callable[[SequenceEvaluation], str | None]) -> Callable[[Score], str]:
+def _evaluation_cell(figure: Callable[[SequenceEvaluation], str | None]) -> Callable[[Score], str]:
     """Return the cell of a score: a figure of its evaluation, or empty."""
     return lambda score: (score.evaluation and figure(score.evaluation)) or EMPTY_CELL
 
@@ -58,15 +58,15 @@ def _metres(evaluation: SequenceEvaluation) -> str | None:
     return None if absolute is None else f"{absolute.similarity:.4f}"
 
 
-def _depth(name: str, form: str, factor: float = 1.0) -> Callable[[Score], str]:
+def _depth_cell(name: str, form: str, factor: float = 1.0) -> Callable[[Score], str]:
     def text(evaluation: SequenceEvaluation) -> str:
         value = None if evaluation.depth is None else getattr(evaluation.depth, name)
         return cell(None if value is None else factor * value, form)
 
-    return _of(text)
+    return _evaluation_cell(text)
 
 
-def _focal(score: Score) -> str:
+def _focal_cell(score: Score) -> str:
     if score.focal is None:
         return EMPTY_CELL
     difference, deviation, reliable = score.focal
@@ -74,17 +74,23 @@ def _focal(score: Score) -> str:
 
 
 COLUMNS: tuple[Column, ...] = (
-    ("ATE, %", _of(_ate)),
-    ("m", _of(_metres)),
-    ("frames with a pose", _of(lambda evaluation: f"{evaluation.posed} of {evaluation.frames}")),
-    ("pieces", _of(lambda evaluation: str(len(evaluation.pieces) or ""))),
-    ("largest, %", _of(lambda e: f"{100 * e.largest_share:.0f}" if e.pieces else None)),
-    ("depth error", _depth("error", ".3f")),
-    ("surest 40 %", _depth("certain", ".3f")),
-    ("pixels, %", _depth("share", ".1f", 100)),
-    ("spread", _depth("scale_spread", ".3f")),
-    ("flicker", _depth("flicker", ".4f")),
-    ("focal length, % off", _focal),
+    ("ATE, %", _evaluation_cell(_ate)),
+    ("m", _evaluation_cell(_metres)),
+    (
+        "frames with a pose",
+        _evaluation_cell(lambda evaluation: f"{evaluation.posed} of {evaluation.frames}"),
+    ),
+    ("pieces", _evaluation_cell(lambda evaluation: str(len(evaluation.pieces) or ""))),
+    (
+        "largest, %",
+        _evaluation_cell(lambda e: f"{100 * e.largest_share:.0f}" if e.pieces else None),
+    ),
+    ("depth error", _depth_cell("error", ".3f")),
+    ("surest 40 %", _depth_cell("certain", ".3f")),
+    ("pixels, %", _depth_cell("share", ".1f", 100)),
+    ("spread", _depth_cell("scale_spread", ".3f")),
+    ("flicker", _depth_cell("flicker", ".4f")),
+    ("focal length, % off", _focal_cell),
     ("s per frame", lambda score: cell(score.per_frame, ".2f")),
     ("memory, MB", lambda score: cell(score.peak and score.peak / 1e6, ".0f")),
 )

@@ -39,8 +39,8 @@ class StoredResult:
     def _map(self, index: int, ending: str) -> NDArray[np.float32]:
         path = self._folder / f"{index:06d}{ending}.npy"
         if not path.exists():
-            some = next(iter(sorted(self._folder.glob("*.npy"))))
-            return np.full(np.load(some, mmap_mode="r").shape, np.nan, np.float32)
+            depth_file = next(iter(sorted(self._folder.glob("*.npy"))))
+            return np.full(np.load(depth_file, mmap_mode="r").shape, np.nan, np.float32)
         return np.asarray(np.load(path) / np.float32(self._units[index]))
 
 

@@ -49,11 +49,11 @@ def run(request: dict[str, Any]) -> dict[str, Any]:
     del first
     gc.collect()
     reset_peak()
-    method = {"reconstruct": _reconstructed, "chain": _chained}[request["method"]]
+    method = {"reconstruct": _reconstruct, "chain": _chain_pairs}[request["method"]]
     return method(request, frames, camera, settings) | {"peak": peak()}
 
 
-def _reconstructed(
+def _reconstruct(
     request: dict[str, Any],
     frames: tuple[Path, ...],
     camera: tisfm.Camera,
@@ -61,14 +61,14 @@ def _reconstructed(
 ) -> dict[str, Any]:
     folder = Path(request["output"])
     poses = np.array(request["poses"]) if request["poses"] is not None else None
-    started = time.perf_counter()
-    known = camera if request["camera_given"] else None
+    start_time = time.perf_counter()
+    given_camera = camera if request["camera_given"] else None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GuessedFocalWarning)
-        result = tisfm.reconstruct(frames, camera=known, settings=settings, poses=poses)
+        result = tisfm.reconstruct(frames, camera=given_camera, settings=settings, poses=poses)
     for index in range(len(frames)):  # some depth maps are only computed when they are read
         result.inverse_depth(index)
-    seconds = time.perf_counter() - started
+    seconds = time.perf_counter() - start_time
     for index in range(len(frames)):
         inverse = result.inverse_depth(index)
         if np.isfinite(inverse).any():
@@ -87,7 +87,7 @@ def _reconstructed(
     return {"results": {"": "result"}, "seconds": seconds, "focal": focal}
 
 
-def _chained(
+def _chain_pairs(
     request: dict[str, Any],
     frames: tuple[Path, ...],
     camera: tisfm.Camera,
@@ -109,14 +109,14 @@ def _chained(
 
     def keep(index: int, result: tisfm.Interpretation) -> None:
         nonlocal storing
-        began = time.perf_counter()
+        begin = time.perf_counter()
         store_map(folder, index, result.inverse_depth, result.inverse_depth_std)
-        storing += time.perf_counter() - began
+        storing += time.perf_counter() - begin
 
-    started = time.perf_counter()
+    start_time = time.perf_counter()
     center = pinhole.center_for(*frame(0).shape[:2])
     chained = chain(len(frames), interpret, keep, focal=pinhole.focal, center=center)
-    seconds = time.perf_counter() - started - storing
+    seconds = time.perf_counter() - start_time - storing
     store(
         folder,
         "chained",
@@ -125,9 +125,9 @@ def _chained(
         status=chained.status,
         units=chained.units,
     )
-    nothing = [-1] * len(frames)
-    without = np.full((len(frames), 4, 4), np.nan)
-    store(folder, "pairs", poses=without, piece=nothing, status=chained.status)
+    no_pieces = [-1] * len(frames)
+    no_poses = np.full((len(frames), 4, 4), np.nan)
+    store(folder, "pairs", poses=no_poses, piece=no_pieces, status=chained.status)
     return {"results": {"chained pairs": "chained", "pairs": "pairs"}, "seconds": seconds}
 
 
@@ -189,15 +189,15 @@ def _points(
     """Return the points of some pixels, (3, K), in camera axes and the unit of the pair."""
     rows, columns = np.mgrid[: inverse_depth.shape[0] : STRIDE, : inverse_depth.shape[1] : STRIDE]
     inverse = inverse_depth[rows, columns].astype(np.float64)
-    near = np.isfinite(inverse) & (inverse > 0)
+    has_depth = np.isfinite(inverse) & (inverse > 0)
     rays = np.stack(
         [
-            (columns[near] - center[0]) / focal,
-            (rows[near] - center[1]) / focal,
-            np.ones(np.count_nonzero(near)),
+            (columns[has_depth] - center[0]) / focal,
+            (rows[has_depth] - center[1]) / focal,
+            np.ones(np.count_nonzero(has_depth)),
         ]
     )
-    return rays / inverse[near]
+    return rays / inverse[has_depth]
 
 
 def _unit(
@@ -214,11 +214,11 @@ def _unit(
     y = np.rint(focal * ahead[1] / ahead[2] + center[1])
     height, width = inverse_depth.shape
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    here = inverse_depth[y[inside].astype(np.intp), x[inside].astype(np.intp)]
-    ratios = ahead[2, inside] * here
+    inverse_here = inverse_depth[y[inside].astype(np.intp), x[inside].astype(np.intp)]
+    ratios = ahead[2, inside] * inverse_here
     ratios = ratios[np.isfinite(ratios) & (ratios > 0)]
-    fewest = MIN_OVERLAP * inverse_depth.size / STRIDE**2
-    return float(np.median(ratios)) if len(ratios) > fewest else None
+    min_count = MIN_OVERLAP * inverse_depth.size / STRIDE**2
+    return float(np.median(ratios)) if len(ratios) > min_count else None
 
 
 if __name__ == "__main__":

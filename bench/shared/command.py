@@ -52,9 +52,9 @@ class Parser(argparse.ArgumentParser):
         options = super().parse_args(*arguments, **keywords)
         for name in POSITIVE_OPTIONS:
             value = getattr(options, name, None)
-            lowest = min(value) if isinstance(value, list) else value
-            if lowest is not None and lowest < 1:
-                self.error(f"--{name} is {lowest}: expected at least 1")
+            min_value = min(value) if isinstance(value, list) else value
+            if min_value is not None and min_value < 1:
+                self.error(f"--{name} is {min_value}: expected at least 1")
         return options
 
 
@@ -107,12 +107,12 @@ def choose(items: Sequence[T], words: Sequence[str] | None, *, kind: str, name: 
     """Return the items with one of the words in their names, or all if no words are given."""
     if words is None:
         return list(items)
-    lowered = [word.lower() for word in words]
-    matching = [item for item in items if any(word in name(item).lower() for word in lowered)]
-    if not matching:
+    lower_words = [word.lower() for word in words]
+    matches = [item for item in items if any(word in name(item).lower() for word in lower_words)]
+    if not matches:
         names = ", ".join(name(item) for item in items)
         raise ValueError(f"no {kind} has {' or '.join(words)} in its name: there are {names}")
-    return matching
+    return matches
 
 
 @contextlib.contextmanager

@@ -29,9 +29,9 @@ T = TypeVar("T")
 
 def measure_time(function: Callable[..., T], *arguments: Any, **options: Any) -> tuple[T, float]:
     """Return the result of a function, and its wall time, s."""
-    started = time.perf_counter()
+    start_time = time.perf_counter()
     result = function(*arguments, **options)
-    return result, time.perf_counter() - started
+    return result, time.perf_counter() - start_time
 
 
 class MethodFailure(Exception):  # noqa: N818 (the error is the method's)
@@ -128,24 +128,26 @@ def run_contest(
     """Run every method on every pair, in turns: in each round, each method once."""
     if not pairs:
         raise ValueError("there is no pair to measure on")
-    missing, ready = dict(missing), []
-    pace: dict[str, float] = {}  # s per pixel
-    small = pairs[0].crop(*WARM_UP_SIZE)
+    missing, ready_methods = dict(missing), []
+    seconds_per_pixel: dict[str, float] = {}  # s per pixel
+    small_pair = pairs[0].crop(*WARM_UP_SIZE)
     for method in methods:
         step(f"{method.name}: first call")
         try:
-            method.run(small)
-            pace[method.name] = method.run(small).seconds / math.prod(small.size)
-            ready.append(method)
+            method.run(small_pair)
+            seconds_per_pixel[method.name] = method.run(small_pair).seconds / math.prod(
+                small_pair.size
+            )
+            ready_methods.append(method)
         except MethodFailure as failure:
             missing[method.name] = str(failure)
     measurements: list[Measurement] = []
     for pair in pairs:
-        measurements += _measure(ready, pair, rounds, pace, step)
+        measurements += _measure(ready_methods, pair, rounds, seconds_per_pixel, step)
     return Contest(
         conditions=conditions,
         reference=reference,
-        methods=tuple(method.name for method in ready),
+        methods=tuple(method.name for method in ready_methods),
         pairs=tuple(PairInfo(name=p.name, group=p.group, size=p.size, note=p.note) for p in pairs),
         measurements=tuple(measurements),
         missing=missing,
@@ -156,23 +158,25 @@ def _measure(
     methods: Sequence[Method],
     pair: FlowPair,
     rounds: int,
-    pace: dict[str, float],
+    seconds_per_pixel: dict[str, float],
     step: Callable[[str], None],
 ) -> list[Measurement]:
-    """Measure all methods on one pair; `pace`, s per pixel, is updated."""
+    """Measure all methods on one pair; `seconds_per_pixel`, s per pixel, is updated."""
     pixels = math.prod(pair.size)
     scores: dict[str, Measurement] = {}
     timings: dict[str, list[Timing]] = {method.name: [] for method in methods}
     failures: dict[str, str] = {}
-    slow = {method.name for method in methods if pace[method.name] * pixels > SLOW_CALL}
+    slow_methods = {
+        method.name for method in methods if seconds_per_pixel[method.name] * pixels > SLOW_CALL
+    }
     for turn in range(rounds + 1):  # the 0th is the warm-up
         for method in methods:
             name = method.name
-            if name in failures or (name in slow and not 1 <= turn <= MAX_SLOW_ROUNDS):
+            if name in failures or (name in slow_methods and not 1 <= turn <= MAX_SLOW_ROUNDS):
                 continue
             step(f"{pair.name}: {name}")
             try:
-                if turn > 0 and pace[name] * pixels < FAST_CALL:
+                if turn > 0 and seconds_per_pixel[name] * pixels < FAST_CALL:
                     method.run(pair)
                 call = method.run(pair)
                 if name not in scores:
@@ -180,7 +184,7 @@ def _measure(
             except MethodFailure as failure:
                 failures[name] = str(failure)
                 continue
-            pace[name] = max(pace[name], call.seconds / pixels)
+            seconds_per_pixel[name] = max(seconds_per_pixel[name], call.seconds / pixels)
             if turn > 0:
                 timings[name].append(Timing(round=turn, seconds=call.seconds, cpu=call.cpu))
     return [
@@ -213,12 +217,12 @@ class OwnMethod:
     estimate: Callable[[NDArray, NDArray], NDArray]
 
     def run(self, pair: FlowPair) -> Call:
-        used, started = time.process_time(), time.perf_counter()
+        start_cpu, start_time = time.process_time(), time.perf_counter()
         try:
             flow = self.estimate(pair.frame0, pair.frame1)
         except Exception as error:  # a failure must not lose the figures of the other methods
             raise MethodFailure(f"{type(error).__name__}: {error}") from error
-        seconds, cpu = time.perf_counter() - started, time.process_time() - used
+        seconds, cpu = time.perf_counter() - start_time, time.process_time() - start_cpu
         return Call(flow=flow, seconds=seconds, cpu=cpu)
 
 

@@ -102,18 +102,20 @@ def standard_time(contest: Contest, method: str) -> Spread | None:
 
 def relative_time(contest: Contest, method: str) -> Spread | None:
     """Return the time over the time of the reference in the same round."""
-    own, unit = _by_round(contest, method), _by_round(contest, contest.reference)
-    return Spread.of([own[turn] / unit[turn] for turn in own if turn in unit])
+    times, reference_times = _by_round(contest, method), _by_round(contest, contest.reference)
+    return Spread.of(
+        [times[turn] / reference_times[turn] for turn in times if turn in reference_times]
+    )
 
 
 def busy_cores(contest: Contest, method: str) -> float | None:
     """Return the mean number of busy cores during the timed calls."""
-    timings = [t for m in _measured(contest, method) for t in m.timings]
+    timings = [t for m in _timed_measurements(contest, method) for t in m.timings]
     wall = sum(timing.seconds for timing in timings)
     return sum(timing.cpu for timing in timings) / wall if wall else None
 
 
-def _measured(contest: Contest, method: str) -> list[Measurement]:
+def _timed_measurements(contest: Contest, method: str) -> list[Measurement]:
     """Return the measurements of a method on the timed pairs; none if it failed on one."""
     measurements = [contest.measurement(method, pair.name) for pair in timed_pairs(contest)]
     measured = [m for m in measurements if m is not None and m.timings]
@@ -124,7 +126,7 @@ def _by_round(contest: Contest, method: str) -> dict[int, float]:
     """Return round → mean time of the timed pairs, each scaled to the standard size."""
     sizes = {pair.name: math.prod(pair.size) for pair in contest.pairs}
     rounds: dict[int, list[float]] = {}
-    measured = _measured(contest, method)
+    measured = _timed_measurements(contest, method)
     for measurement in measured:
         scale = math.prod(STANDARD_SIZE) / sizes[measurement.pair]
         for timing in measurement.timings:
@@ -182,8 +184,8 @@ def notes(contest: Contest) -> list[str]:
         groups.setdefault(pair.group, []).append(pair.name)
     timed = ", ".join(pair.name for pair in timed_pairs(contest))
     height, width = STANDARD_SIZE
-    scaled = any(pair.size != STANDARD_SIZE for pair in timed_pairs(contest))
-    basis = f"scaled by the number of pixels from {timed}" if scaled else f"mean of {timed}"
+    is_scaled = any(pair.size != STANDARD_SIZE for pair in timed_pairs(contest))
+    basis = f"scaled by the number of pixels from {timed}" if is_scaled else f"mean of {timed}"
     return [
         "Errors are means over the pixels with known truth, then over the pairs of a group: "
         + "; ".join(f"{group}: {', '.join(names)}" for group, names in groups.items())
@@ -223,10 +225,10 @@ def write(
 def _error(contest: Contest, column: Column, method: str, changes: bool) -> str:
     value = column.value(contest, method)
     text = _figure(column.metric, value)
-    unit = column.value(contest, contest.reference) if changes else None
-    if value is None or not unit or method == contest.reference:
+    reference_times = column.value(contest, contest.reference) if changes else None
+    if value is None or not reference_times or method == contest.reference:
         return text
-    return f"{text} ({value / unit - 1:+.1%})"
+    return f"{text} ({value / reference_times - 1:+.1%})"
 
 
 def _figure(metric: Metric, value: float | None) -> str:

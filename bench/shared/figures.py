@@ -97,7 +97,7 @@ def _label(axes: Axes, methods: list[Mark]) -> None:
     """Put each name beside its mark, where it overlaps no mark, no other name and no edge."""
     pixels = axes.figure.dpi / 72
     positions = {mark: axes.transData.transform((mark.time, mark.error)) for mark in methods}
-    occupied = [Bbox.from_bounds(x - 8, y - 8, 16, 16) for x, y in positions.values()]
+    occupied_boxes = [Bbox.from_bounds(x - 8, y - 8, 16, 16) for x, y in positions.values()]
     inside = axes.get_window_extent()
     for mark in sorted(methods, key=lambda mark: positions[mark][0]):
         text = axes.annotate(
@@ -115,9 +115,9 @@ def _label(axes: Axes, methods: list[Mark]) -> None:
             left = x + dx * pixels - (0 if dx > 1 else size.width if dx < -1 else size.width / 2)
             low = y + dy * pixels - (0 if dy > 1 else size.height if dy < -1 else size.height / 2)
             bounds = Bbox.from_bounds(left, low, size.width, size.height)
-            if bounds.count_overlaps(occupied) == 0 and _within(bounds, inside):
+            if bounds.count_overlaps(occupied_boxes) == 0 and _is_within(bounds, inside):
                 break
-        occupied.append(bounds)
+        occupied_boxes.append(bounds)
         text.set_position(((left - x) / pixels, (low - y) / pixels))
         if math.hypot(dx, dy) >= MIN_LEADER_LENGTH:
             start, end = axes.transData.inverted().transform(
@@ -134,7 +134,7 @@ def _offsets() -> Iterator[tuple[float, float]]:
         yield distance * math.cos(angle), distance * math.sin(angle)
 
 
-def _within(bounds: Bbox, frame: Bbox) -> bool:
+def _is_within(bounds: Bbox, frame: Bbox) -> bool:
     return bool(
         bounds.x0 >= frame.x0
         and bounds.x1 <= frame.x1

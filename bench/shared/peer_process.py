@@ -59,8 +59,10 @@ def run_survey(python: Path, worker: Path) -> dict[str, Any]:
     """Return what a worker reports of its libraries; raise RuntimeError if it fails."""
     command: list[str | Path] = [python, worker, "survey"]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
-        answer: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+        process_result = subprocess.run(
+            command, capture_output=True, text=True, check=True, timeout=120
+        )
+        answer: dict[str, Any] = json.loads(process_result.stdout.splitlines()[-1])
         return answer
     except (OSError, subprocess.TimeoutExpired, ValueError, IndexError) as error:
         raise RuntimeError(f"{python} does not run {worker.name}: {error}") from None
@@ -102,7 +104,7 @@ class Peer:
     def run(self, pair: FlowPair) -> Call:
         """Return the flow of a pair, or raise `MethodFailure`; frames are given in grey."""
         flow = self._folder / f"{_file_name(self.name)}.npy"
-        frames = [_stored_grey(self._folder, pair, index) for index in (0, 1)]
+        frames = [_store_grey(self._folder, pair, index) for index in (0, 1)]
         try:
             answer = self._worker.ask({"frames": [str(path) for path in frames], "flow": str(flow)})
         except WorkerDied as death:
@@ -115,7 +117,7 @@ class Peer:
         self._worker.close()
 
 
-def _stored_grey(folder: Path, pair: FlowPair, index: int) -> Path:
+def _store_grey(folder: Path, pair: FlowPair, index: int) -> Path:
     path = folder / f"{pair.name}-{index}.npy"
     if not path.exists():
         frame = (pair.frame0, pair.frame1)[index]

@@ -140,9 +140,9 @@ def serve(name: str, threads: int) -> None:
             loaded = request["frames"]
             frames = [prepare(np.load(path)) for path in loaded]
         try:
-            used, started = time.process_time(), time.perf_counter()
+            start_cpu, start_time = time.process_time(), time.perf_counter()
             flow = method(*frames)
-            seconds, cpu = time.perf_counter() - started, time.process_time() - used
+            seconds, cpu = time.perf_counter() - start_time, time.process_time() - start_cpu
         except Exception as error:  # of any kind
             answer({"error": f"{type(error).__name__}: {error}"})
             continue

@@ -42,11 +42,12 @@ class Table:
 
     def without_empty_columns(self) -> "Table":
         """Return the table without the columns in which every cell is empty."""
-        filled = [
+        filled_columns = [
             k for k in range(len(self.head)) if any(row[k] != EMPTY_CELL for row in self.rows)
         ]
         return Table(
-            [self.head[k] for k in filled], [[row[k] for k in filled] for row in self.rows]
+            [self.head[k] for k in filled_columns],
+            [[row[k] for k in filled_columns] for row in self.rows],
         )
 
 
@@ -60,7 +61,7 @@ class Bar:
     at_most: bool = True  # whether the bound is an upper one
 
     @property
-    def met(self) -> bool:
+    def is_met(self) -> bool:
         """Whether the figure was measured and is within its bound."""
         if self.value is None:
             return False
@@ -73,14 +74,14 @@ class Bar:
         if self.value is not None:
             value = f"{self.value:.{1 if self.value >= 10 else 2}f}"
         if self.bound is None:
-            return f"{'also' if self.met else 'FAIL'}  {self.name}: {value}"
+            return f"{'also' if self.is_met else 'FAIL'}  {self.name}: {value}"
         words = "at most" if self.at_most else "at least"
-        return f"{'pass' if self.met else 'FAIL'}  {self.name}: {value} ({words} {self.bound:g})"
+        return f"{'pass' if self.is_met else 'FAIL'}  {self.name}: {value} ({words} {self.bound:g})"
 
 
 def exit_code(bars: Iterable[Bar]) -> int:
     """Return the exit code of a run: 0 if every bound is met, else 1."""
-    return 0 if all(bar.met for bar in bars) else 1
+    return 0 if all(bar.is_met for bar in bars) else 1
 
 
 def cell(value: float | None, form: str) -> str:
@@ -169,9 +170,9 @@ def process_memory(name: str, process: int | str = "self") -> float | None:
 
 
 def _processor() -> str:
-    listed = Path("/proc/cpuinfo")
-    if listed.exists():
-        for line in listed.read_text(encoding="utf-8").splitlines():
+    cpu_file = Path("/proc/cpuinfo")
+    if cpu_file.exists():
+        for line in cpu_file.read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):
                 return line.split(":", 1)[1].strip()
     return platform.processor() or platform.machine()

@@ -59,8 +59,8 @@ class Worker:
         assert self._process is not None
         return self._converse(self._process, question)
 
-    def close(self, patience: float = CLOSE_TIMEOUT) -> None:
-        """End the worker; kill it if it runs on for `patience` seconds."""
+    def close(self, timeout: float = CLOSE_TIMEOUT) -> None:
+        """End the worker; kill it if it runs on for `timeout` seconds."""
         process, self._process = self._process, None
         if process is None:
             return
@@ -68,7 +68,7 @@ class Worker:
         with contextlib.suppress(OSError):  # unsent data cannot be written any more
             process.stdin.close()
         try:
-            process.wait(patience)
+            process.wait(timeout)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
@@ -88,18 +88,18 @@ class Worker:
         except OSError:  # the pipe is broken
             line = ""
         finally:
-            late = not alarm.is_alive()
+            is_late = not alarm.is_alive()
             alarm.cancel()
         if not line:
-            reason = self._end_of(process, late)
-            self.close(patience=0)
+            reason = self._end_of(process, is_late)
+            self.close(timeout=0)
             raise WorkerDied(reason)
         return json.loads(line)
 
-    def _end_of(self, process: "subprocess.Popen[str]", late: bool) -> str:
-        if late:
+    def _end_of(self, process: "subprocess.Popen[str]", is_late: bool) -> str:
+        if is_late:
             return f"its process was ended after {self._timeout:g} s without an answer"
         code = process.wait()
         words = self._messages.read_text(encoding="utf-8", errors="replace").strip()
-        last = " ".join(words.splitlines()[-MESSAGE_LINES:])
-        return f"its process died with status {code}" + (f": {last}" if last else "")
+        last_lines = " ".join(words.splitlines()[-MESSAGE_LINES:])
+        return f"its process died with status {code}" + (f": {last_lines}" if last_lines else "")

@@ -117,10 +117,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 for turn in range(rounds + (not options.smoke)):
                     for kind, openings in results.items():
                         first = 1 + turn * steps
-                        visited = [
+                        frame_numbers = [
                             (k * frames // (steps + 1) + first) % frames for k in range(1, 7)
                         ]
-                        opening = measure_opening(chromium, folder / kind, visited[:steps])
+                        opening = measure_opening(chromium, folder / kind, frame_numbers[:steps])
                         if turn or options.smoke:  # else it reads cold files
                             openings.append(opening)
         except RuntimeError as error:
@@ -165,12 +165,12 @@ def lengthen_run(short: Path, long: Path, count: int) -> None:
     long.mkdir()
     record = json.loads((short / "run.json").read_text(encoding="utf-8"))
     pairs = list(record["pairs"].items())
-    longer = {}
+    long_result = {}
     for k in range(count):
         name, pair = pairs[k % len(pairs)]
         os.link(short / f"{name}.npz", long / f"{k:06d}.npz")
-        longer[f"{k:06d}"] = {**pair, "number": k}
-    text = json.dumps({**record, "pairs": longer}, indent=1)
+        long_result[f"{k:06d}"] = {**pair, "number": k}
+    text = json.dumps({**record, "pairs": long_result}, indent=1)
     (long / "run.json").write_text(text, encoding="utf-8")
 
 
@@ -191,7 +191,7 @@ def lengthen_reconstruction(short: Path, long: Path, count: int) -> None:
         os.link(short / PICTURES / f"{number:06d}.jpg", long / PICTURES / f"{k:06d}.jpg")
     poses = result.poses[numbers].copy()
     poses[:, 0, 3] += DRIFT * np.arange(count)
-    longer = replace(
+    long_result = replace(
         result,
         poses=poses,
         piece=np.zeros(count, np.int32),
@@ -200,7 +200,7 @@ def lengthen_reconstruction(short: Path, long: Path, count: int) -> None:
         times=tuple(k / 30 for k in range(count)),
         folder=long,
     )
-    write_record(long, longer)
+    write_record(long, long_result)
 
 
 if __name__ == "__main__":

@@ -74,11 +74,11 @@ def browser() -> Iterator[Any]:
     except ImportError as error:
         raise RuntimeError("playwright is not installed: pip install '.[test]'") from error
     with sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=path, args=list(OPTIONS))
+        chromium_browser = playwright.chromium.launch(executable_path=path, args=list(OPTIONS))
         try:
-            yield started
+            yield chromium_browser
         finally:
-            started.close()
+            chromium_browser.close()
 
 
 def measure_opening(chromium: Any, folder: Path, steps: Sequence[int]) -> Opening:
@@ -89,7 +89,7 @@ def measure_opening(chromium: Any, folder: Path, steps: Sequence[int]) -> Openin
     tab = chromium.new_context(viewport=WINDOW).new_page()
     tab.add_init_script(DRAWING_NOTES)
     arrivals = Arrivals(tab)
-    begin, began = time.perf_counter(), time.time()
+    begin, start_clock = time.perf_counter(), time.time()
     command = subprocess.Popen(
         [sys.executable, "-c", COMMAND, "view", str(folder), "--no-browser", "--port", "0"],
         stderr=subprocess.PIPE,
@@ -102,8 +102,8 @@ def measure_opening(chromium: Any, folder: Path, steps: Sequence[int]) -> Openin
             raise RuntimeError(f"tisfm view serves no page of {folder}")
         served = time.perf_counter() - begin
         tab.goto(address[0])
-        drawn = tab.wait_for_function("window.pointsSeen", timeout=1000 * PAGE_TIMEOUT)
-        first = drawn.json_value() - began
+        drawing_time = tab.wait_for_function("window.pointsSeen", timeout=1000 * PAGE_TIMEOUT)
+        first = drawing_time.json_value() - start_clock
         processor = _processor_time(command.pid)
         refined = arrivals.last_after(begin, tab) - begin
         resident = process_memory("VmRSS", command.pid)

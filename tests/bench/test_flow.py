@@ -113,5 +113,5 @@ def test_flow_of_a_film_leads_to_the_same_grey():
     place = (triple.flow + np.moveaxis(np.mgrid[:height, :width][::-1], 0, -1)).astype(np.float32)
     there = cv2.remap(triple.frames[2], place[..., 0], place[..., 1], cv2.INTER_LINEAR)
     off = np.abs(there.astype(float) - triple.frames[1])
-    assert np.median(off[~triple.occluded]) < 4  # noise of 1.5 grey levels in both
-    assert 0.02 < triple.occluded.mean() < 0.4
+    assert np.median(off[~triple.occluded_pixels]) < 4  # noise of 1.5 grey levels in both
+    assert 0.02 < triple.occluded_pixels.mean() < 0.4

@@ -3,7 +3,7 @@
 import pytest
 
 from bench import __main__ as command
-from bench.__main__ import DISAGREED, fault_of, parse
+from bench.__main__ import DISAGREEMENT_TEXT, fault_of, parse
 from bench.kernels.traffic import TRAFFIC
 from bench.report import HEAD, bars, collect, describe, write_markdown
 from tisfm.runtime import cpu_lanes
@@ -85,7 +85,7 @@ def test_bars(change, missed):
     given = {"sweep_ns": 10, "numpy_ns": 1000, "large_ns": 5, "floats": 50} | change
     memory = dict.fromkeys(("paper", "fast", "balanced", "accurate"), given.pop("floats"))
     found = list(bars(collect([report(**given)], memory)))
-    assert {f"{bar.bound:g}" for bar in found if not bar.met} == missed
+    assert {f"{bar.bound:g}" for bar in found if not bar.is_met} == missed
     assert {f"{bar.bound:g}" for bar in found if bar.bound} == {"12", "70", "6", "1.3", "50", "60"}
     beside, paper = (bar for bar in found if bar.bound is None)
     assert "paper" in paper.name and paper.value == memory["paper"]
@@ -95,7 +95,7 @@ def test_bars(change, missed):
 
 
 def test_a_bar_that_was_not_measured_is_missed():
-    assert not any(bar.met for bar in bars(collect([], {})))
+    assert not any(bar.is_met for bar in bars(collect([], {})))
 
 
 def test_a_run_on_a_gpu_has_one_lane_and_files_of_its_own(capsys):
@@ -142,5 +142,5 @@ def test_missing_packages_are_named_before_any_benchmark(monkeypatch, capsys, go
 
 
 def test_only_a_failed_test_counts_as_a_wrong_answer():
-    assert fault_of(0) == "" and fault_of(1) == DISAGREED
+    assert fault_of(0) == "" and fault_of(1) == DISAGREEMENT_TEXT
     assert "exit code 4" in fault_of(4) and "disagreed" not in fault_of(4)

@@ -117,7 +117,7 @@ def test_mark_shown(size):
     mark_pixels_of_points(
         points, relative, inverse_depth, deviation, shown, projection=projection, tolerance=3
     )
-    expected = reference.mark_shown(
+    expected = reference.mark_visible_pixels(
         *(a.astype(float) for a in (points, relative, inverse_depth, deviation)),
         projection=projection.astype(float),
         tolerance=3,

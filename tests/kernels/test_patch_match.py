@@ -111,7 +111,12 @@ def test_improved_planes_are_those_of_the_reference(size, draws):
     def cost(found):
         return reference.plane_cost(*levels, found, camera, *pose, noise=NOISE**2)[0]
 
-    options = {"spread": 2.0, "tilt": 0.05, "steepest": 3 / camera.focal, "bounds": (1e-3, largest)}
+    options = {
+        "spread": 2.0,
+        "tilt": 0.05,
+        "max_slope": 3 / camera.focal,
+        "bounds": (1e-3, largest),
+    }
     for color in range(2):
         before = state
         state = reference.improve_planes(

@@ -49,9 +49,9 @@ def test_score_is_the_mean_of_the_best_frames(size, best):
     seen = planes[..., 3] < UNTEXTURED
     np.testing.assert_array_equal(seen, variance > 1.8 * NOISE**2)
     # Where a pixel goes to the border of a frame, rounding decides whether it is seen.
-    off = np.abs(planes[..., 3] - reference.best_mean(expected, best, absent=MISSING_FRAME_COST))[
-        seen
-    ]
+    off = np.abs(
+        planes[..., 3] - reference.best_mean(expected, best, missing_cost=MISSING_FRAME_COST)
+    )[seen]
     assert (off < 1e-3).mean() > 0.98
     each = np.empty((len(others), *size), np.float32)
     search.write_costs(planes, each)
@@ -90,10 +90,10 @@ def test_improved_planes_are_those_of_the_reference(size, draws):
 
     def cost(found):
         return reference.best_mean(
-            costs_of_reference(key, others, found)[0], 2, absent=MISSING_FRAME_COST
+            costs_of_reference(key, others, found)[0], 2, missing_cost=MISSING_FRAME_COST
         )
 
-    options = {"spread": 2.0, "tilt": 0.05, "steepest": 3 / CAMERA.focal, "bounds": (1e-3, 6.0)}
+    options = {"spread": 2.0, "tilt": 0.05, "max_slope": 3 / CAMERA.focal, "bounds": (1e-3, 6.0)}
     for color in range(2):
         state = reference.improve_planes(
             state, cost, color=color, draws=draws, seed=6 + color, **options

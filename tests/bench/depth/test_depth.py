@@ -32,7 +32,7 @@ from bench.depth.pairs import (
 from bench.depth.report import (
     COMMON_SUFFIX,
     STATIC,
-    _trusted,
+    _count_trusted,
     details,
     groups,
     notes,
@@ -122,8 +122,8 @@ def test_a_true_estimate_has_no_errors_and_one_of_known_noise_its_share_within()
 
 def test_moving_objects_have_scales_of_their_own():
     pair = small_entries("two-blocks-0")[0].load()
-    assert pair.group == TWO_BLOCKS and set(np.unique(pair.movers)) == {0, 2, 3}
-    factors = np.select([pair.movers == 2, pair.movers == 3], [3.0, 0.5], 1.0)
+    assert pair.group == TWO_BLOCKS and set(np.unique(pair.object_labels)) == {0, 2, 3}
+    factors = np.select([pair.object_labels == 2, pair.object_labels == 3], [3.0, 0.5], 1.0)
     found = score(replace(exact(pair), inverse_depth=factors / pair.depth), pair)
     assert found.abs_rel > 0.1
     assert found.abs_rel_rest == pytest.approx(0, abs=1e-9)
@@ -134,7 +134,7 @@ def test_results_without_common_depth_are_failures():
     pair = small_entries("two-blocks-0")[0].load()
     behind = score(replace(exact(pair), inverse_depth=-1 / pair.depth), pair)
     assert "no depth where" in behind.failure and behind.abs_rel is None
-    unknown = replace(pair, depth=np.where(pair.movers == 2, np.nan, pair.depth))
+    unknown = replace(pair, depth=np.where(pair.object_labels == 2, np.nan, pair.depth))
     found = score(exact(unknown), unknown)
     assert found.abs_rel_movers is None and not found.failure
     assert found.abs_rel_rest == pytest.approx(0, abs=1e-9)
@@ -220,8 +220,8 @@ def test_statuses_are_compared_with_errors():
         of("little_parallax", 1.0, 3.5),
         of("little_parallax", 1.0, 2.5),
     ]
-    assert _trusted(scores) == ("1 of 5", "2 of 3")
-    assert _trusted([replace(scores[0], status="")]) == ("–", "–")
+    assert _count_trusted(scores) == ("1 of 5", "2 of 3")
+    assert _count_trusted([replace(scores[0], status="")]) == ("–", "–")
 
 
 def test_the_rooms_are_there_with_and_without_their_pose(shared_data):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bench.regression import __main__ as regression
-from bench.regression.checkout import Paired, measure_in_turns
+from bench.regression.checkout import PairedTimes, measure_in_turns
 from bench.regression.report import (
     Case,
     Difference,
@@ -101,7 +101,7 @@ def test_sides_take_turns():
 
 def paired(ratio, cpu):
     samples = [((1.0, 2.0), (ratio * k, 2.0 * cpu * k)) for k in (0.99, 1.0, 1.01)]
-    return Paired.of("thing", samples)
+    return PairedTimes.of("thing", samples)
 
 
 def test_out_of_bounds():

@@ -76,7 +76,7 @@ def large(preset="balanced", *, middle=400.0, floats=50.0):
 )
 def test_bars(given, met):
     held = list(scaling.bars(large(**given)))
-    assert [bar.met for bar in held] == met
+    assert [bar.is_met for bar in held] == met
     assert [bar.bound for bar in held] == [57.0, 1.15, 3.0]
     assert held[0].value == pytest.approx(40)  # the median, of the same rounds
     assert f"- {held[0]}" in scaling.report(large(**given))

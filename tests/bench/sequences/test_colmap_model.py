@@ -53,7 +53,7 @@ def test_wrong_positions_are_measured(tmp_path):
 def test_bars_are_held(tmp_path):
     found = figures(model(tmp_path, off=0.0))
     held = bars(found, 3)
-    assert [bar.met for bar in held] == [False, False, True, True]
+    assert [bar.is_met for bar in held] == [False, False, True, True]
     text = report(found, held, {"preset": "fast"})
     assert "- preset: fast" in text and "| points | 24 |" in text
     assert "FAIL  points" in text

@@ -10,7 +10,7 @@ import pytest
 
 from bench.sequences.__main__ import main
 from bench.sequences.contest import COLMAP_WORKER, Colmap, Outcome, OwnMethod, Score, run_contest
-from bench.sequences.entries import SELECTED, Entry, data_entries, folder_entries
+from bench.sequences.entries import SEQUENCES, Entry, data_entries, folder_entries
 from bench.sequences.report import COLUMNS, details, summary, write
 from bench.sequences.stored import StoredResult, store, store_map
 from bench.shared.contest import MethodFailure
@@ -116,7 +116,7 @@ def test_sequences_can_be_stepped_and_thinned(entries, tmp_path):
     np.testing.assert_allclose(loaded.poses, PATH[[0, 1, 2, 4]])
     assert thinned.name == "wall, every 2 from 2 on"
     found, missing = data_entries(tmp_path)
-    assert found == [] and set(missing) == {name for name, _ in SELECTED}
+    assert found == [] and set(missing) == {name for name, _ in SEQUENCES}
 
 
 def test_nothing_to_run_is_reported(tmp_path, monkeypatch, capsys):

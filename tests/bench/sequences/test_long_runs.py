@@ -23,7 +23,7 @@ def found(two, last, slower, other):
     ("values", "met"), [((17.1, 104.0, 48.0, 0), [True] * 4), ((16.9, 106.0, 47.0, 1), [False] * 4)]
 )
 def test_bars(values, met):
-    assert [bar.met for bar in long_runs.bars(found(*values))] == met
+    assert [bar.is_met for bar in long_runs.bars(found(*values))] == met
 
 
 def test_report():

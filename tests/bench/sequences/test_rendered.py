@@ -14,7 +14,7 @@ from bench.sequences.rendered_films import (
     _distance,
     circle_path,
     depth_in_one_scale,
-    gap,
+    end_gap,
     keyframe_path,
     path_error,
     round_trip_path,
@@ -38,11 +38,11 @@ def similar(poses, scale=1.0):
 def test_round_trips_end_where_they_began():
     poses = round_trip_path(20)
     np.testing.assert_allclose(poses[0], poses[-1], atol=1e-12)
-    assert gap(similar(poses, 3.0), poses) == pytest.approx(0, abs=1e-6)
+    assert end_gap(similar(poses, 3.0), poses) == pytest.approx(0, abs=1e-6)
     off = similar(poses, 3.0)
     off[-1, :3, 3] += (0.3, 0, 0)
     length = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).sum()
-    assert gap(off, poses) == pytest.approx(100 * 0.1 / length, rel=0.05)
+    assert end_gap(off, poses) == pytest.approx(100 * 0.1 / length, rel=0.05)
     assert path_error(off, poses) > 0.1
 
 

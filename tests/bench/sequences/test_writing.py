@@ -23,7 +23,7 @@ def test_report():
     ("seconds", "met"), [((1.29, 1.49), [True, True]), ((1.31, 1.51), [False, False])]
 )
 def test_bars(seconds, met):
-    assert [bar.met for bar in writing.bars(outcome((1.0, *seconds)))] == met
+    assert [bar.is_met for bar in writing.bars(outcome((1.0, *seconds)))] == met
 
 
 def test_smoke(capsys):

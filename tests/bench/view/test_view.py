@@ -35,7 +35,7 @@ def test_report():
     text = view.report(found, 1000, {"processor": "x"})
     row = "| `tisfm run` | 1000 | 1.00 | 2.20 | 2.60 | 1.50 | 4.00 | 0.20 | 1.00 | 150 | 400 |"
     assert row in text and "- processor: x" in text
-    assert [bar.met for bar in view.bars(found)] == [True, False]
+    assert [bar.is_met for bar in view.bars(found)] == [True, False]
     unknown = view.report({"run": [opening(2.0, memory=None)]}, 10, {})
     assert "| – | 400 |" in unknown
 
