@@ -200,7 +200,7 @@ def test_a_worker_without_the_folder_is_an_error(film, work_folder):
 def test_a_worker_with_other_vectors_is_an_error(film, work_folder):
     (work_folder / "alive").touch()
     error = interpret_chunk(make_chunk(work_folder, lanes=4)).error
-    assert isinstance(error, RuntimeError) and "that of the command 4" in str(error)
+    assert isinstance(error, RuntimeError) and "processor of the command 4" in str(error)
 
 
 @pytest.mark.parametrize("first", [1, COUNT - 2])

@@ -194,7 +194,7 @@ def test_result_is_not_written_over_its_source(found, film, tmp_path):
 
 
 def test_incomplete_folders_are_refused(found, tmp_path):
-    with pytest.raises(FileNotFoundError, match="not that of a reconstruction"):
+    with pytest.raises(FileNotFoundError, match="has no reconstruction"):
         Reconstruction.load(tmp_path)
     found.save(tmp_path)
     (tmp_path / "reconstruction.json").unlink()

@@ -53,7 +53,7 @@ def reconstruct(
 ) -> Reconstruction:
     """Reconstruct a sequence: the camera path, and the depth of every frame in its scale.
 
-    Frames have to be in the order in which they were taken.
+    Frames have to be in the order of their times.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def reconstruct(
         each frame gets the pose nearest in time, at most half a frame interval away.
     mask : optional
         Pixels that are used, as for `tisfm.sources.FrameSource`: black, zero or False pixels are
-        ignored. With ``motion="objects"``, masks that hold the numbers of several objects count as
+        ignored. With ``motion="objects"``, masks with the numbers of several objects count as
         `labels`: pictures with a palette of colours, or arrays of integers with several numbers
         from 1 to 254.
     labels : optional
@@ -264,7 +264,7 @@ def refuse_inputs_inside(files: Iterable[Path], folder: Path) -> None:
 def _mask_and_labels(
     mask: Mask | None, labels: LabelSource | None, settings: Settings
 ) -> tuple[Mask | None, LabelSource | None]:
-    """Return the mask and the labels; a mask that holds labels of objects becomes the labels."""
+    """Return the mask and the labels; a mask with labels of objects becomes the labels."""
     if settings.motion != "objects":
         if labels is not None:
             raise InputError(

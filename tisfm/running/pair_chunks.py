@@ -65,13 +65,13 @@ class Chunk:
         if work.files is not None:
             files = replace(work.files, folder=work.files.folder.absolute())
             work = replace(work, files=files)
-        remaining = replace(
+        absolute_source = replace(
             source,
             source=_absolute(source.source),
             mask=None if source.mask is None else os.path.abspath(source.mask),
             poses=None if source.poses is None else source.poses.absolute(),
         )
-        return replace(self, source=remaining, work=work)
+        return replace(self, source=absolute_source, work=work)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,22 +96,18 @@ class FinishedChunk:
     error: Exception | None = None  # the error that ended the chunk early
 
 
-def split_chunk(remaining: Chunk, workers: int) -> list[Chunk]:
+def split_chunk(chunk: Chunk, workers: int) -> list[Chunk]:
     """Split a chunk with all remaining pairs into chunks for the processes."""
     max_pairs = _MAX_PAIRS_RETURNED
-    if remaining.work.files is not None:
+    if chunk.work.files is not None:
         max_pairs = _MAX_PAIRS_WRITTEN
-        files = replace(
-            remaining.work.files, inputs=InputFiles()
-        )  # each process makes its own list
-        remaining = replace(remaining, work=replace(remaining.work, files=files))
-    count = remaining.end - remaining.first
+        files = replace(chunk.work.files, inputs=InputFiles())  # each process makes its own list
+        chunk = replace(chunk, work=replace(chunk.work, files=files))
+    count = chunk.end - chunk.first
     length = max(1, min(max_pairs, -(-count // (_MIN_CHUNKS_PER_WORKER * workers))))
-    ends = [*range(remaining.first + length, remaining.end, length), _OPEN_END]
-    begins = [remaining.first, *ends[:-1]]
-    return [
-        replace(remaining, first=first, end=end) for first, end in zip(begins, ends, strict=True)
-    ]
+    ends = [*range(chunk.first + length, chunk.end, length), _OPEN_END]
+    begins = [chunk.first, *ends[:-1]]
+    return [replace(chunk, first=first, end=end) for first, end in zip(begins, ends, strict=True)]
 
 
 def interpret_chunk(chunk: Chunk) -> FinishedChunk:
@@ -154,7 +150,7 @@ def interpret_with_workers(
     """
     pairs, reader = source.open()
     reader.close()
-    remaining = Chunk(
+    all_pairs = Chunk(
         source=source,
         work=PairWork(camera=camera, settings=source.settings),
         first=first,
@@ -171,7 +167,7 @@ def interpret_with_workers(
         tempfile.TemporaryDirectory(prefix="tisfm-") as folder,
         presence_file(Path(folder)) as presence,
     ):
-        chunks = split_chunk(replace(remaining, presence=presence), workers)
+        chunks = split_chunk(replace(all_pairs, presence=presence), workers)
         with closing(pool.map_unordered(interpret_chunk, chunks)) as results:
             for number, chunk_result in results:
                 chunks_by_number[number] = chunk_result

@@ -205,9 +205,9 @@ class PairFiles:
             ending: file_checksum(self.folder / f"{name}{ending}")
             for ending in self.endings(number)
         }
-        missing = [ending for ending, checksum in files.items() if checksum is None]
-        if missing:
-            raise OSError(f"{path}{missing[0]} was removed during the run: run again")
+        missing_endings = [ending for ending, checksum in files.items() if checksum is None]
+        if missing_endings:
+            raise OSError(f"{path}{missing_endings[0]} was removed during the run: run again")
         return entry, {
             ending: checksum for ending, checksum in files.items() if checksum is not None
         }

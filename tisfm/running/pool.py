@@ -44,7 +44,7 @@ class WorkerPool:
         open_executor: Callable[[], Executor],
     ) -> None:
         self.workers = workers
-        self._running: dict[Future[Any], int] = {}
+        self._running_items: dict[Future[Any], int] = {}
         self._open, self._executor = open_executor, open_executor()
 
     def map_unordered(
@@ -62,18 +62,18 @@ class WorkerPool:
 
         Raises Exception: the exception of the function.
         """
-        waiting, kill_count = list(reversed(range(len(items)))), 0
-        running = self._running = {}
-        while waiting or running:
+        waiting_items, kill_count = list(reversed(range(len(items)))), 0
+        running_items = self._running_items = {}
+        while waiting_items or running_items:
             try:
-                while waiting and len(running) < _QUEUED_PER_WORKER * self.workers:
-                    future = self._executor.submit(function, items[waiting[-1]])
-                    running[future] = waiting.pop()
-                finished_futures, _ = wait(running, return_when=FIRST_COMPLETED)
-                for future in sorted(finished_futures, key=running.__getitem__):
+                while waiting_items and len(running_items) < _QUEUED_PER_WORKER * self.workers:
+                    future = self._executor.submit(function, items[waiting_items[-1]])
+                    running_items[future] = waiting_items.pop()
+                finished_futures, _ = wait(running_items, return_when=FIRST_COMPLETED)
+                for future in sorted(finished_futures, key=running_items.__getitem__):
                     result = future.result()
                     kill_count = 0
-                    yield running.pop(future), result
+                    yield running_items.pop(future), result
             except BrokenProcessPool:
                 kill_count += 1
                 if kill_count >= MAX_ATTEMPTS:
@@ -81,11 +81,11 @@ class WorkerPool:
                         f"workers were killed {MAX_ATTEMPTS} times, and finished nothing in "
                         "between: there may be too little memory; give fewer workers"
                     ) from None
-                for future in list(running):
+                for future in list(running_items):
                     if future.done() and future.exception() is None:
-                        yield running.pop(future), future.result()
-                waiting += sorted(running.values(), reverse=True)
-                running.clear()
+                        yield running_items.pop(future), future.result()
+                waiting_items += sorted(running_items.values(), reverse=True)
+                running_items.clear()
                 self._executor.shutdown(wait=False)
                 self._executor = self._open()
 
@@ -94,8 +94,8 @@ class WorkerPool:
 
         This is for the time after an early exit from `map_unordered`. Failed items are left out.
         """
-        running, self._running = self._running, {}
-        for future in sorted(running, key=running.__getitem__):
+        running_items, self._running_items = self._running_items, {}
+        for future in sorted(running_items, key=running_items.__getitem__):
             with suppress(Exception, CancelledError):
                 yield future.result()
 
@@ -209,8 +209,8 @@ def check_worker(
         )
     if lanes != worker_lanes:
         raise RunError(
-            f"the processor of a worker has vectors of {worker_lanes} lanes, that of the command "
-            f"{lanes}: their results differ in the last digits; leave out such machines"
+            f"the processor of a worker has vectors of {worker_lanes} lanes, and the processor of the "
+            f"command {lanes}: their results differ in the last digits; leave out such machines"
         )
 
 

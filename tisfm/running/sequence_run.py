@@ -174,8 +174,10 @@ class SequenceRun:
             skipped = dict(frames.skipped)
             if workers is not None and pair_count is not None and next_number < pair_count:
                 pairs.close()
-                remaining = self._remaining_chunk(source, work, frames, next_number, pair_count)
-                for chunk in _finished_chunks(remaining, writer, workers):
+                remaining_chunk = self._remaining_chunk(
+                    source, work, frames, next_number, pair_count
+                )
+                for chunk in _finished_chunks(remaining_chunk, writer, workers):
                     interpreter.interpreted += _record_chunk(chunk, writer, observer)
                     observer.estimate(interpreter.interpreted)
                     skipped.update(chunk.skipped)
@@ -209,7 +211,7 @@ class SequenceRun:
         self, source: PairSource, work: PairWork, frames: FrameSource, first: int, end: int
     ) -> Chunk:
         """Return one chunk with all remaining pairs."""
-        remaining = Chunk(
+        chunk = Chunk(
             source=source,
             work=work,
             first=first,
@@ -219,10 +221,10 @@ class SequenceRun:
             listing=frames.listing,
         )
         if self.cluster is not None:
-            return remaining.with_absolute_paths()
+            return chunk.with_absolute_paths()
         if self.threads is None:
-            return replace(remaining, threads=max(1, usable_cores() // self.workers))
-        return remaining
+            return replace(chunk, threads=max(1, usable_cores() // self.workers))
+        return chunk
 
 
 def load_camera(file: Path, shape: tuple[int, int] | None, log: Log) -> Camera:
@@ -292,7 +294,7 @@ class _LocalInterpreter:
 
 
 def _finished_chunks(
-    remaining: Chunk, writer: PairWriter, pool: WorkerPool
+    remaining_chunk: Chunk, writer: PairWriter, pool: WorkerPool
 ) -> Iterator[FinishedChunk]:
     """Let other processes interpret the pairs of a chunk; yield finished parts of the chunk.
 
@@ -301,7 +303,9 @@ def _finished_chunks(
     writer.begin()
     error: BaseException | None = None
     # This path is for the workers; it is absolute for a cluster.
-    folder = writer.folder if remaining.work.files is None else remaining.work.files.folder
+    folder = (
+        writer.folder if remaining_chunk.work.files is None else remaining_chunk.work.files.folder
+    )
     with presence_file(folder) as presence:
         chunks = [
             replace(
@@ -310,7 +314,7 @@ def _finished_chunks(
                 presence=presence,
                 ranges=writer.ranges,
             )
-            for chunk in split_chunk(remaining, pool.workers)
+            for chunk in split_chunk(remaining_chunk, pool.workers)
         ]
         try:
             for _, finished in pool.map_unordered(interpret_chunk, chunks):

@@ -266,7 +266,7 @@ def test_chunk_of_another_process_is_awaited(frames, whole, begun, tmp_path, mon
     ("change", "words"),
     [
         ({"version": "0.0.7"}, "the command has 0.0.7"),
-        ({"lanes": 4}, "that of the command 4"),
+        ({"lanes": 4}, "processor of the command 4"),
         ({"listing": Listing(3, "")}, "sees other files in"),
     ],
     ids=["version", "processor", "files"],

@@ -162,7 +162,7 @@ def make_chunk(chunk: Chunk) -> Exception | None:
 
 @contextmanager
 def _chunk_lock(chunk: Chunk) -> Iterator[None]:
-    """Wait until no other process makes the chunk, such as an orphaned worker."""
+    """Lock the chunk: wait until other processes, such as an orphaned worker, have ended it."""
     file = chunk.folder.with_name(f"{chunk.folder.name}.lock")
     remove_link(file)
     lock = FileLock(file)

@@ -63,7 +63,7 @@ def scale_from_positions(
     # poses, others: (N, 4, 4): camera to world, of the same frames in the first and second result
     poses: np.ndarray,
     others: np.ndarray,
-    rotation: np.ndarray,  # (3, 3): from the axes of the second result to those of the first
+    rotation: np.ndarray,  # (3, 3): from the axes of the second result to the first result
 ) -> tuple[float, float] | None:
     """Return the logarithm of the scale from camera positions, and its standard deviation."""
     if len(poses) < CHUNKING.min_positions:
@@ -153,10 +153,10 @@ def _depth_ratios(
             np.linalg.solve(first.poses[first_frame], first.poses[frame]), points
         )
         with np.errstate(divide="ignore", invalid="ignore"):
-            projected = (points @ intrinsics.T)[:, :2] / np.where(
+            positions = (points @ intrinsics.T)[:, :2] / np.where(
                 points[:, 2:] > 0, points[:, 2:], np.nan
             )
-        columns, rows = np.rint(np.nan_to_num(projected, nan=-1.0).clip(-1, 1e6)).astype(int).T
+        columns, rows = np.rint(np.nan_to_num(positions, nan=-1.0).clip(-1, 1e6)).astype(int).T
     is_inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
     ratio = (
         points[is_inside, 2]

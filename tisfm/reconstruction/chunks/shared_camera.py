@@ -87,13 +87,13 @@ def complete_chunks(chunks: Sequence[Chunk], map_unordered: UnorderedMap) -> Ite
 
     Raises Exception: as `tisfm.reconstruct`.
     """
-    missing = []
+    missing_numbers = []
     for number, chunk in enumerate(chunks):
         if chunk.is_complete():
             yield number
         else:
-            missing.append(number)
-    for number, error in map_unordered(make_chunk, [chunks[number] for number in missing]):
+            missing_numbers.append(number)
+    for number, error in map_unordered(make_chunk, [chunks[number] for number in missing_numbers]):
         if error is not None:
             raise error
-        yield missing[number]
+        yield missing_numbers[number]

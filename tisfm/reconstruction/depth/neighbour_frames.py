@@ -105,9 +105,9 @@ def _parallax_values(
     rotated_rays = motions[:, :3, :3] @ rays
     points = rotated_rays + inverse_depths * motions[:, :3, 3:]
     with np.errstate(divide="ignore", invalid="ignore"):
-        projected = camera.focal * points[:, :2] / points[:, 2:]
-        displacement = projected - camera.focal * rotated_rays[:, :2] / rotated_rays[:, 2:]
-        u, v = cx + projected[:, 0], cy + projected[:, 1]
+        positions = camera.focal * points[:, :2] / points[:, 2:]
+        displacement = positions - camera.focal * rotated_rays[:, :2] / rotated_rays[:, 2:]
+        u, v = cx + positions[:, 0], cy + positions[:, 1]
         is_inside = (points[:, 2] > 0) & (rotated_rays[:, 2] > 0)
         is_inside &= (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5)
     displacement = np.where(is_inside[:, None], displacement, 0)

@@ -98,7 +98,7 @@ def adjust_poses(
     settings: Settings,
     *,
     fixed_frames: Collection[int] = (),  # frames whose poses are fixed; by default the first frame
-    rounds: int | None = None,  # Gauss–Newton steps; by default those of the settings
+    rounds: int | None = None,  # Gauss–Newton steps; by default `adjustment_rounds`
 ) -> dict[int, np.ndarray]:
     """Return poses that fit the images better. The depth of the windows changes in place."""
     new_poses = {frame: np.array(pose, np.float64) for frame, pose in poses.items()}

@@ -34,7 +34,7 @@ class FrameDepth:
 
     frame: int
     # inverse_depth, deviation: (H, W) float32, NaN and infinity where there is no depth. The
-    # deviation is infinite at masked pixels as well.
+    # deviation is also infinite at masked pixels.
     inverse_depth: np.ndarray
     deviation: np.ndarray
 
@@ -86,7 +86,7 @@ class PieceDepths:
         self.keyframes = choose_keyframes(piece, observations, side, self._start_key)
 
     def __iter__(self) -> Iterator[FrameDepth]:
-        """Yield the depth of frames, if any; a keyframe waits for that of the next keyframe."""
+        """Yield the depth of frames, if any; a keyframe waits for the next keyframe's depth."""
         previous = self._start_key
         for key in list(self.keyframes):
             depth = self._keyframe_depth(key, previous, self._effort)
@@ -279,7 +279,7 @@ def median_depth(inverse_depth: np.ndarray) -> float:
 
 
 def depth_effort(settings: Settings) -> Effort:
-    """Return the effort of plane matching: that of the preset most similar to the settings."""
+    """Return the effort of plane matching of the preset that is most similar to the settings."""
     if settings.finest_level > 0:
         return "fast"
     balanced = Settings.preset("balanced")

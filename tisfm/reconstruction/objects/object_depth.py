@@ -45,8 +45,8 @@ def find_object_scale(
         valid = object_pixels & np.isfinite(depth.deviation) & (depth.inverse_depth > 0)
         if not valid.any() or not np.isfinite(background).any():
             continue
-        combined = np.where(object_pixels, depth.inverse_depth, background).astype(np.float32)
-        contact_factor = contact_scale(combined, labels, object_pixels & ~valid, object_id)
+        depth_map = np.where(object_pixels, depth.inverse_depth, background).astype(np.float32)
+        contact_factor = contact_scale(depth_map, labels, object_pixels & ~valid, object_id)
         if contact_factor is not None:
             contact_scales.append(1 / contact_factor)
         window = np.ones((2 * OBJECTS.ring_width + 1,) * 2, np.uint8)

@@ -21,7 +21,7 @@ from tisfm.reconstruction.tracks.settings import TRACKS
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.settings import Settings
 
-# px: the box of an object starts at a multiple of this number, so that it holds whole pixels of the
+# px: the box of an object starts at a multiple of this number, so that it has whole pixels on the
 # coarsest matched level.
 BOX_ALIGNMENT = 16
 

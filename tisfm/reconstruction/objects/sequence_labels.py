@@ -63,22 +63,22 @@ class SequenceLabels:
     def _add_path(self, poses: Sequence[np.ndarray | None], camera: Camera) -> BelowGroundSearch:
         """Add the evidence of the camera path, and return the search below the ground."""
         small_camera = self._motion.camera(camera)
-        combined = DiskCache(Evidence.to_arrays, Evidence.from_arrays)
+        summed_evidence = DiskCache(Evidence.to_arrays, Evidence.from_arrays)
         depths = DiskCache(StaticDepth.to_arrays, StaticDepth.from_arrays)
         for frame, pair_evidence in enumerate(self._evidence):
             moving_pixels = self._accumulated[frame].mean() > OBJECTS.region_evidence
             path_result = path_evidence(self._motion, frame, poses, small_camera, moving_pixels)
             if path_result is None:
-                combined.append(pair_evidence)
+                summed_evidence.append(pair_evidence)
                 depths.append(StaticDepth.empty(moving_pixels.shape))
                 continue
             multi_frame, inverse_depth = path_result
-            combined.append(pair_evidence.combine_with(multi_frame))
+            summed_evidence.append(pair_evidence.combine_with(multi_frame))
             max_total = OBJECTS.max_static_mean * multi_frame.weight
             static_pixels = ~moving_pixels & (multi_frame.weight > OBJECTS.min_static_weight)
             static_pixels &= multi_frame.total < max_total
             depths.append(StaticDepth(inverse_depth=inverse_depth, static_pixels=static_pixels))
-        self._evidence = combined
+        self._evidence = summed_evidence
         return BelowGroundSearch(self._motion, poses, small_camera, depths)
 
     def _with_ground(
@@ -139,7 +139,7 @@ def find_static_path(
     # returns the path of the frames with their current labels and camera; its argument states which
     # camera parameters are calibrated
     find_path: Callable[[Calibrate | None], CameraPath],
-    # sets the camera of the frames to that of a path, and prepares the frames anew if needed
+    # gives the frames the camera of a path, and prepares the frames anew if needed
     set_camera: Callable[[CameraPath], None],
 ) -> CameraPath:
     """Label the moving objects, unless labels are given, and return the path of the static pixels.

@@ -210,7 +210,7 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
     """
     path = Path(folder)
     if not (path / RECORD).is_file():
-        reason = "is not complete" if (path / DEPTH).is_dir() else "is not that of a reconstruction"
+        reason = "is not complete" if (path / DEPTH).is_dir() else "has no reconstruction"
         raise FileNotFoundError(f"the folder {path} {reason}: it has no {RECORD}")
     with _raise_format_error(path / RECORD):
         record = read_json(path / RECORD)

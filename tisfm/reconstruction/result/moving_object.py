@@ -29,7 +29,7 @@ class MovingObject:
         Left, top, width and height of its label in each frame, px.
     poses : (n, 4, 4) float64
         Object to world in each frame; NaN where it is unknown. The origin is the median of the
-        points of the object. The axes are those of the camera in the first frame with a pose.
+        points of the object. The axes are the camera's axes in the first frame with a pose.
     extent : (3,) float64
         Its lengths along its axes, in the unit of the poses; NaN without poses. They are the extent
         of its points, without the outermost 3 % at both ends.

@@ -74,7 +74,7 @@ class Reconstruction:
     Examples
     --------
     >>> import tisfm
-    >>> result = tisfm.Reconstruction.load("walk")  # what `save` or ``tisfm reconstruct`` left
+    >>> result = tisfm.Reconstruction.load("walk")  # from `save` or ``tisfm reconstruct``
     >>> len(result), result.poses.shape, result.shape
     (9, (9, 4, 4), (180, 240))
     >>> [str(status) for status in result.status[:2]], result.piece[:2].tolist()
@@ -143,8 +143,8 @@ class Reconstruction:
     def labels(self, frame: int) -> np.ndarray:
         """Return the object id of each pixel of a frame, (H, W) uint8.
 
-        0 is static; other numbers are the ids of `objects`. Pixels are those of the frame without
-        distortion, as in `picture`.
+        0 is static; other numbers are the ids of `objects`. The labels fit the frame without
+        distortion, as `picture`.
 
         Examples
         --------
@@ -283,7 +283,7 @@ class Reconstruction:
         >>> import numpy as np
         >>> import tisfm
         >>> result = tisfm.Reconstruction.load("walk")
-        >>> metres = result.rescaled(0, 8, 1.04)  # the camera was 1.04 m apart at frames 0 and 8
+        >>> metres = result.rescaled(0, 8, 1.04)  # the camera moved by 1.04 m from frame 0 to 8
         >>> round(float(np.linalg.norm(metres.poses[8, :3, 3] - metres.poses[0, :3, 3])), 6)
         1.04
         """
