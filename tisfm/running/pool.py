@@ -209,8 +209,8 @@ def check_worker(
         )
     if lanes != worker_lanes:
         raise RunError(
-            f"the processor of a worker has vectors of {worker_lanes} lanes, and the processor of the "
-            f"command {lanes}: their results differ in the last digits; leave out such machines"
+            f"the processor of a worker has vectors of {worker_lanes} lanes, and the processor of "
+            f"the command {lanes}: their results differ in the last digits; leave out such machines"
         )
 
 
