@@ -69,7 +69,7 @@ def test_load_of_a_file_that_is_cut_off(saved, share):
 
 def test_load_of_a_file_that_lacks_its_last_byte(saved):
     saved.write_bytes(saved.read_bytes()[:-1])
-    refused(saved, "not a whole .npz file")
+    refused(saved, "not a complete .npz file")
 
 
 def test_load_of_a_damaged_file(saved):
@@ -103,7 +103,7 @@ def test_load_of_other_files(tmp_path, content):
 def test_load_of_a_single_array(tmp_path):
     with open(tmp_path / "array.npz", "wb") as file:
         np.save(file, np.zeros(3))
-    refused(tmp_path / "array.npz", "not a whole .npz file")
+    refused(tmp_path / "array.npz", "not a complete .npz file")
 
 
 def test_load_of_a_foreign_npz(tmp_path):
@@ -122,7 +122,7 @@ def test_a_header_that_does_not_end_is_damage(tmp_path):
     start = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
     with zipfile.ZipFile(tmp_path / "open.npz", "w") as file:
         file.writestr("about.npy", start + bytes(24))
-    refused(tmp_path / "open.npz", "not a whole .npz file")
+    refused(tmp_path / "open.npz", "not a complete .npz file")
 
 
 # Parts that nobody asked for
