@@ -220,12 +220,12 @@ def picture(outcomes: Sequence[Mapping[str, Any]]) -> Figure:
             axes = grid[row, column]
             for kind, colour, marker in zip(kinds, CURVES, MARKERS, strict=False):
                 points = [o for o in outcomes if (o["kind"], o["focal"]) == (kind, focal)]
-                known = [
+                known_points = [
                     (o["ratio"], max(o[name], MIN_ERROR)) for o in points if o[name] is not None
                 ]
-                if known:
+                if known_points:
                     axes.plot(
-                        *zip(*known, strict=True),
+                        *zip(*known_points, strict=True),
                         marker=marker,
                         color=colour,
                         markersize=4,

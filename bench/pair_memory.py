@@ -29,8 +29,8 @@ def peak() -> int:
     """Return the peak of resident memory since `reset_peak`, or of the process, bytes."""
     if (size := process_memory("VmHWM")) is not None:
         return int(size)
-    used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return used if sys.platform == "darwin" else used * 1024
+    max_resident = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return max_resident if sys.platform == "darwin" else max_resident * 1024
 
 
 def reset_peak() -> None:
@@ -51,9 +51,9 @@ def measure(preset: Preset, height: int, width: int) -> float:
     tisfm.interpret(tiny, np.roll(tiny, 1, axis=1), settings=settings)
     gc.collect()
     reset_peak()
-    before = peak()
+    initial_peak = peak()
     result = tisfm.interpret(frame0, frame1, camera=camera, settings=settings)
-    return (peak() - before) / (FLOAT * result.rho[0].size)
+    return (peak() - initial_peak) / (FLOAT * result.rho[0].size)
 
 
 def measure_in_process(preset: Preset, size: str = "") -> float:

@@ -62,7 +62,7 @@ def bare_pixels(pair: SyntheticPair) -> np.ndarray:
 def measure(pair: SyntheticPair, settings: tisfm.Settings | None) -> dict[str, float]:
     """Measure one scene; without settings, the flow of Horn and Schunck, which gives no depth."""
     bare, textured = bare_pixels(pair), pair.textured & pair.visible
-    left = np.arange(pair.labels.shape[1]) < pair.labels.shape[1] // 2
+    is_left_half = np.arange(pair.labels.shape[1]) < pair.labels.shape[1] // 2
     result = None
     if settings is None:
         flow = horn_schunck(pair.frame0, pair.frame1)
@@ -72,7 +72,7 @@ def measure(pair: SyntheticPair, settings: tisfm.Settings | None) -> dict[str, f
     error = np.linalg.norm(flow - pair.flow, axis=-1)
     values = {
         "textured": error[textured].mean(),
-        "wall_left": error[bare & (pair.labels == 0) & left].mean(),
+        "wall_left": error[bare & (pair.labels == 0) & is_left_half].mean(),
         "block": error[bare & (pair.labels == 1)].mean(),
         "wall": error[bare & (pair.labels == 0)].mean(),
     }

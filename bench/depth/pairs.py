@@ -183,9 +183,9 @@ def _select_entries(data: Path, layout: Layout, selection: Selection) -> Iterato
 def _load_pair(
     pair: DatasetPair, name: str, group: str, *, selection: Selection | None = None
 ) -> DepthPair:
-    loaded = pair.load()
-    camera = loaded.camera or Camera()  # depth of a stereo pair does not depend on the camera
-    depth, raw = loaded.depth, None
+    dataset_pair = pair.load()
+    camera = dataset_pair.camera or Camera()  # depth of a stereo pair does not depend on the camera
+    depth, raw = dataset_pair.depth, None
     if pair.layout in KNOWN_CAMERAS and pair.depth is not None:
         raw = read_depth(pair.depth)
     if depth is not None:
@@ -194,10 +194,12 @@ def _load_pair(
         depth, raw = raw, None
     if depth is not None and group in ROOMS:
         depth = np.where(depth < MAX_ROOM_DEPTH, depth, np.nan)
-    frame0, frame1 = (undistort(frame, camera) for frame in (loaded.frame0, loaded.frame1))
+    frame0, frame1 = (
+        undistort(frame, camera) for frame in (dataset_pair.frame0, dataset_pair.frame1)
+    )
     if group in WIDE_BASELINES:
-        assert loaded.pose is not None
-        depth = depth_of_matches(frame0, frame1, camera.pinhole(), loaded.pose)
+        assert dataset_pair.pose is not None
+        depth = depth_of_matches(frame0, frame1, camera.pinhole(), dataset_pair.pose)
     return DepthPair(
         name=name,
         group=group,
@@ -206,8 +208,8 @@ def _load_pair(
         camera=camera.pinhole(),
         depth=depth,
         raw_depth=raw,
-        pose=loaded.pose,
-        pose_given=loaded.pose_given or (selection is not None and selection.pose_given),
+        pose=dataset_pair.pose,
+        pose_given=dataset_pair.pose_given or (selection is not None and selection.pose_given),
     )
 
 

@@ -197,7 +197,7 @@ def _detail(contest: DepthContest, group: Group) -> Table:
 def _cells(contest: DepthContest, method: str, group: Group) -> list[str]:
     scores = contest.best(method, group)
     pairs_without_depth = sum(score.without_depth for score in scores)
-    failed = sum(bool(score.failure) for score in scores)
+    failed_count = sum(bool(score.failure) for score in scores)
     has_status = any(score.status for score in scores)
     return [
         _reduce(scores, "abs_rel", fmean, ".4f"),
@@ -215,7 +215,7 @@ def _cells(contest: DepthContest, method: str, group: Group) -> list[str]:
         _format_three(scores, "rotation", 4),
         _reduce(scores, "within", fmean, ".0%"),
         (f"{pairs_without_depth} of {len(scores)}" if has_status else EMPTY_CELL)
-        + (f", {failed} failed" if failed else ""),
+        + (f", {failed_count} failed" if failed_count else ""),
         _reduce(scores, "seconds", median, "#.3g"),
         _time_ratio(contest, method, group, scores),
     ]
@@ -226,14 +226,19 @@ def _count_trusted(scores: list[Score]) -> tuple[str, str]:
 
     Both are empty for methods without a status, and if no true depth is known.
     """
-    known = [score for score in scores if score.status and score.abs_rel_all is not None]
-    if not known:
+    scores_with_truth = [
+        score for score in scores if score.status and score.abs_rel_all is not None
+    ]
+    if not scores_with_truth:
         return EMPTY_CELL, EMPTY_CELL
-    converged = [score for score in known if score.status == "converged"]
-    wrong = sum((score.abs_rel_all or 0) > WRONG_DEPTH_ERROR for score in converged)
-    visible = [s for s in known if s.parallax is not None and s.parallax > MIN_PARALLAX]
+    converged = [score for score in scores_with_truth if score.status == "converged"]
+    wrong_count = sum((score.abs_rel_all or 0) > WRONG_DEPTH_ERROR for score in converged)
+    visible = [s for s in scores_with_truth if s.parallax is not None and s.parallax > MIN_PARALLAX]
     with_depth = sum(not score.without_depth for score in visible)
-    return f"{wrong} of {len(known)}", f"{with_depth} of {len(visible)}" if visible else EMPTY_CELL
+    return (
+        f"{wrong_count} of {len(scores_with_truth)}",
+        f"{with_depth} of {len(visible)}" if visible else EMPTY_CELL,
+    )
 
 
 def _time_ratio(contest: DepthContest, method: str, group: Group, scores: list[Score]) -> str:

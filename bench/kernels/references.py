@@ -44,13 +44,13 @@ class FieldReferences(NumpySide):
 
     def image_edges(self) -> Run:
         image = self.problem.frames[:1]
-        inside = np.ones((2, *image[0].shape))
-        inside[0, :, -1] = inside[1, -1] = 0
+        is_inside = np.ones((2, *image[0].shape))
+        is_inside[0, :, -1] = is_inside[1, -1] = 0
 
         def run() -> np.ndarray:
             steps = np.abs(np.concatenate(reference.differences(np.array(image))))
-            edges = inside / (1 + problems.EDGE_RATE * steps)
-            return edges * (inside.sum() / edges.sum())
+            edges = is_inside / (1 + problems.EDGE_RATE * steps)
+            return edges * (is_inside.sum() / edges.sum())
 
         return run
 
@@ -180,15 +180,15 @@ class FieldReferences(NumpySide):
         splat_sums = _splat(flow, residual)
 
         def run() -> np.ndarray:
-            inside, corners = _arrivals(flow)
+            is_inside, corners = _arrivals(flow)
             sums = sum(w * splat_sums[:, row, column] for row, column, w in corners)
             total, residual_sum, u, v = np.split(sums, [1, 2, 3])
-            difference = np.hypot(u - flow[0, inside] * total, v - flow[1, inside] * total)
+            difference = np.hypot(u - flow[0, is_inside] * total, v - flow[1, is_inside] * total)
             is_hidden = total > problems.UNIQUENESS["density"]
             is_hidden &= difference > problems.UNIQUENESS["flow_difference"] * total
-            is_hidden &= residual[inside] * total > residual_sum
+            is_hidden &= residual[is_inside] * total > residual_sum
             out = np.zeros(residual.shape, bool)
-            out[inside] = is_hidden[0]
+            out[is_inside] = is_hidden[0]
             return mask_moments(out)
 
         return run
@@ -221,12 +221,12 @@ def _arrivals(
     """Return the pixels that stay inside, and rows, columns and weights around their targets."""
     height, width = flow.shape[1:]
     x, y = flow[0] + np.arange(width), flow[1] + np.arange(height)[:, None]
-    inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
-    x, y = x[inside], y[inside]
+    is_inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+    x, y = x[is_inside], y[is_inside]
     left, top = x.astype(int), y.astype(int)
     across, down = x - left, y - top
     right, below = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
-    return inside, [
+    return is_inside, [
         (top, left, (1 - down) * (1 - across)),
         (top, right, (1 - down) * across),
         (below, left, down * (1 - across)),
@@ -236,8 +236,8 @@ def _arrivals(
 
 def _splat(flow: np.ndarray, residual: np.ndarray) -> np.ndarray:
     """Return Σw, Σw·residual, Σw·u, Σw·v, (4, H, W), at every pixel of frame 1."""
-    inside, corners = _arrivals(flow)
-    values = np.stack([np.ones_like(residual), residual, *flow])[:, inside]
+    is_inside, corners = _arrivals(flow)
+    values = np.stack([np.ones_like(residual), residual, *flow])[:, is_inside]
     targets = np.concatenate([row * residual.shape[1] + column for row, column, _ in corners])
     weights = np.concatenate([values * weight for *_, weight in corners], axis=1)
     sums = [np.bincount(targets, weight, minlength=residual.size) for weight in weights]

@@ -198,7 +198,7 @@ def report(results: dict[str, Any]) -> str:
     if results["statue"]:
         blocks += ["## Statue", STATUE_NOTE, statue_table(results["statue"])]
     blocks += ["## Every scene", details(results["scores"])]
-    missing_notes = [f"missing: {name}: {why}" for name, why in results["missing"].items()]
+    missing_notes = [f"missing: {name}: {reason}" for name, reason in results["missing"].items()]
     title = "# Moving objects, compared with two stages"
     return markdown_page(title, results["conditions"], [*NOTES, *missing_notes], *blocks)
 

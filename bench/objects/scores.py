@@ -151,8 +151,8 @@ def details(scores: Sequence[Score]) -> Table:
 
 
 def _directions(objects: Sequence[SceneObject], digits: int) -> str:
-    known = [item.direction for item in objects if item.direction is not None]
-    return f"{fmean(known):.{digits}f}" if known else EMPTY_CELL
+    directions = [item.direction for item in objects if item.direction is not None]
+    return f"{fmean(directions):.{digits}f}" if directions else EMPTY_CELL
 
 
 def _best_label(labels: NDArray, mask: NDArray) -> tuple[int, float]:

@@ -140,10 +140,10 @@ def _iou(score: ClipScore | None) -> str:
 
 
 def _path_cells(errors: Sequence[ObjectPathErrors | None]) -> list[str]:
-    known = [error for error in errors if error is not None]
-    shares = [100 * error.share for error in known if error.share is not None]
+    known_errors = [error for error in errors if error is not None]
+    shares = [100 * error.share for error in known_errors if error.share is not None]
     if not shares:
         return [EMPTY_CELL] * 2
-    missing_count = len(errors) - len(known)
+    missing_count = len(errors) - len(known_errors)
     note = f" ({missing_count} not found)" if missing_count else ""
-    return [f"{fmean(shares):.1f}{note}", f"{fmean(error.rotation for error in known):.1f}"]
+    return [f"{fmean(shares):.1f}{note}", f"{fmean(error.rotation for error in known_errors):.1f}"]

@@ -131,7 +131,7 @@ def report(results: dict[str, Any]) -> str:
     for group, scores in groups(results["scores"]).items():
         blocks += [f"## {TITLES[group]}", table(scores)]
     blocks += ["## Every variant", details(results["scores"])]
-    missing_notes = [f"missing: {name}: {why}" for name, why in results["missing"].items()]
+    missing_notes = [f"missing: {name}: {reason}" for name, reason in results["missing"].items()]
     notes = [*NOTES, *missing_notes, *failures(results["scores"])]
     title = "# Moving objects over whole sequences"
     return markdown_page(title, results["conditions"], notes, *blocks)

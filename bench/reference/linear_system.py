@@ -59,13 +59,13 @@ def sweep_lexicographic(
             tensor_here = np.array([[j11[y, x], j12[y, x]], [j12[y, x], j22[y, x]]])
             right = -g.T @ np.array([j1[y, x], j2[y, x]])
             total = np.zeros(n)
-            for edge, inside, ny, nx in (
+            for edge, is_inside, ny, nx in (
                 (east[:, y, x], x + 1 < width, y, x + 1),
                 (east[:, y, x - 1], x > 0, y, x - 1),
                 (south[:, y, x], y + 1 < height, y + 1, x),
                 (south[:, y - 1, x], y > 0, y - 1, x),
             ):
-                if inside:
+                if is_inside:
                     total += edge
                     right += alpha * edge * rho[:, ny, nx]
             matrix = g.T @ tensor_here @ g + alpha * np.diag(total)

@@ -47,7 +47,7 @@ def minimise(
     half_quadratic: list[float] = []
     changes: list[float] = []
     for _ in range(outer_iterations):
-        before = rho.copy()
+        previous_rho = rho.copy()
         weights = edge_weights(rho, smoothness)
         tensor = robust_tensor(terms, motion, rho, scales)
         for _ in range(sweeps):
@@ -59,7 +59,7 @@ def minimise(
         half_quadratic.append(
             half_quadratic_energy(tensor, motion, rho, weights, alpha, smoothness)
         )
-        change, size = np.linalg.norm(rho - before), np.linalg.norm(rho)
+        change, size = np.linalg.norm(rho - previous_rho), np.linalg.norm(rho)
         changes.append(float(change / size) if size > 0 else 0.0)
         if change <= tolerance * size:
             return Minimisation(energies, half_quadratic, changes, True)

@@ -185,8 +185,8 @@ def plane_disagreement(
 def _inside(u: Array, v: Array) -> Array:
     """Return the positions, (H, W), that are inside an image of this size."""
     height, width = u.shape
-    inside: Array = (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
-    return inside
+    is_inside: Array = (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
+    return is_inside
 
 
 def bilinear(image: Array, rows: Array, columns: Array) -> Array:

@@ -27,11 +27,11 @@ def matching_cost(
     for hypothesis in hypotheses:
         u, v = displacement(np.full((height, width), hypothesis), camera, rotation, translation)
         x, y = columns + u, rows + v
-        inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
-        x, y = np.where(inside, x, 0), np.where(inside, y, 0)
+        is_inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+        x, y = np.where(is_inside, x, 0), np.where(is_inside, y, 0)
         difference = np.abs([bilinear(image, y, x) for image in features1] - features0)
         cost = np.minimum(1, difference[0]) + np.minimum(1, difference[1] + difference[2])
-        costs.append(np.where(inside, cost, 1))
+        costs.append(np.where(is_inside, cost, 1))
     return np.stack(costs, axis=-1)
 
 

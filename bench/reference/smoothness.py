@@ -55,12 +55,12 @@ def mean_step(frame: Array) -> float:
 def image_edges(frame: Array, strength: float) -> Array:
     """Return g = c/(1 + κ|ΔI|/m), (2, H, W): m the mean of |ΔI|, c such that the mean of g is 1."""
     steps = np.abs(np.stack(differences(frame[None].astype(np.float64))))[:, 0]
-    inside = np.ones(steps.shape, bool)
-    inside[0, :, -1] = inside[1, -1] = False
-    if not inside.any():
+    has_neighbour = np.ones(steps.shape, bool)
+    has_neighbour[0, :, -1] = has_neighbour[1, -1] = False
+    if not has_neighbour.any():
         return np.zeros(steps.shape)
-    edges = inside / (1 + strength * steps / max(mean_step(frame), 1e-5))
-    return edges / edges[inside].mean()
+    edges = has_neighbour / (1 + strength * steps / max(mean_step(frame), 1e-5))
+    return edges / edges[has_neighbour].mean()
 
 
 def edge_weights(rho: Array, smoothness: Smoothness) -> Array:

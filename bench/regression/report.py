@@ -51,8 +51,8 @@ def difference(before: Path, after: Path) -> Difference:
 def relative(before: NDArray, after: NDArray) -> NDArray:
     """Return |after − before| / |before|; small |before| are raised to `MIN_RELATIVE_DEPTH`."""
     difference = _absolute_difference(before, after)
-    known = np.abs(before[np.isfinite(before)])
-    floor = MIN_RELATIVE_DEPTH * float(np.median(known)) if known.size else 0.0
+    finite_values = np.abs(before[np.isfinite(before)])
+    floor = MIN_RELATIVE_DEPTH * float(np.median(finite_values)) if finite_values.size else 0.0
     unit = np.maximum(np.abs(before), floor)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(difference > 0, difference / np.where(np.isfinite(unit), unit, 1.0), 0.0)
@@ -159,7 +159,7 @@ def markdown(findings: Findings) -> str:
         )
         blocks += ["## Times", note, Table(TIME_HEAD, [_time_cells(p) for p in findings.times])]
     blocks += ["## Out of bounds", list(out_of_bounds(findings)) or "Nothing."]
-    missing = {f"missing: {name}": why for name, why in findings.missing.items()}
+    missing = {f"missing: {name}": reason for name, reason in findings.missing.items()}
     return markdown_page("# Regression", findings.conditions | missing, *blocks)
 
 

@@ -54,8 +54,8 @@ def answer(pair: dict[str, Any], request: dict[str, Any]) -> dict[str, Any]:
     if request["answer"]:
         fields = ("flow", "inverse_depth", "confidence", "occlusion", "labels")
         values = {name: getattr(result, name) for name in fields}
-        known = {name: value for name, value in values.items() if value is not None}
-        np.savez(request["answer"], **known)
+        arrays = {name: value for name, value in values.items() if value is not None}
+        np.savez(request["answer"], **arrays)
     return {
         "status": str(result.status),
         "seconds": seconds,

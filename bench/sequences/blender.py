@@ -73,9 +73,9 @@ def differences(
         with np.errstate(divide="ignore", invalid="ignore"):
             column, row = (result.camera.focal * c / depth for c in (x, y))
         column, row = column + cx + 0.5, row + cy + 0.5
-        inside = (depth > 0) & (column > 0) & (column < width) & (row > 0) & (row < height)
+        is_inside = (depth > 0) & (column > 0) & (column < width) & (row > 0) & (row < height)
         offset = np.hypot(across * width - column, (1 - up) * height - row)
-        offsets.append(np.where(ahead > 0, offset, np.inf)[inside])
+        offsets.append(np.where(ahead > 0, offset, np.inf)[is_inside])
     angle = 2 * np.arctan(height / 2 / result.camera.focal)
     values = (
         distances.max() / extent,

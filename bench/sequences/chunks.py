@@ -91,12 +91,12 @@ def film_rows(count: int, chunks: Sequence[int], folder: Path) -> Iterator[Row]:
         result, number = reconstruct_in_chunks(
             str(source), folder / f"rounds-{chunk}", camera, chunk, count
         )
-        inside = result.piece == result.largest_piece
+        is_inside = result.piece == result.largest_piece
         error = path_error(poses_of_segment(result, result.largest_piece), circle_path(count))
         values = (
             f"rounds, {WIDTH}×{HEIGHT} px", count, chunk if chunk < ONE_CHUNK else "at once",
             number,
-            int(result.piece.max()) + 1, int(inside.sum()), error, None, None,
+            int(result.piece.max()) + 1, int(is_inside.sum()), error, None, None,
         )  # fmt: skip
         yield dict(zip(FIGURES, values, strict=True))
 

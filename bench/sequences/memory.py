@@ -101,8 +101,8 @@ def main(arguments: list[str] | None = None) -> int:
     settings.append(f"--depth-of={options.depth_of}")
     for count in options.counts:
         command = [*module, f"--counts={count}", *settings]
-        done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
-        rows.append(json.loads(done.stdout.splitlines()[-1]))
+        process_result = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+        rows.append(json.loads(process_result.stdout.splitlines()[-1]))
         console.print(rows[-1])
     conditions = {
         "command": "python -m bench.sequences.memory",

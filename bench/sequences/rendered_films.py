@@ -138,10 +138,10 @@ def poses_of_segment(result: tisfm.Reconstruction, segment: int = 0) -> Poses:
 
 def path_error(poses: Poses, true: Poses) -> float:
     """Return the ATE of the frames with a pose, % of the true path; NaN with fewer than two."""
-    known = np.isfinite(poses[:, 0, 0])
-    if known.sum() < 2:
+    is_known = np.isfinite(poses[:, 0, 0])
+    if is_known.sum() < 2:
         return float("nan")
-    return 100 * absolute_errors(poses[known], true[known]).similarity / path_length(true)
+    return 100 * absolute_errors(poses[is_known], true[is_known]).similarity / path_length(true)
 
 
 def end_gap(poses: Poses, true: Poses) -> float:
@@ -228,8 +228,10 @@ def _from_first(poses: Poses) -> np.ndarray:
 
 
 def _log_scale(true: np.ndarray, estimate: np.ndarray) -> float:
-    known = np.isfinite(estimate)
-    return float(np.log(np.median(true[known] / estimate[known]))) if known.any() else np.nan
+    is_known = np.isfinite(estimate)
+    return (
+        float(np.log(np.median(true[is_known] / estimate[is_known]))) if is_known.any() else np.nan
+    )
 
 
 def _distance(points: np.ndarray, film: Film) -> np.ndarray:

@@ -213,9 +213,9 @@ def _unit(
     x = np.rint(focal * ahead[0] / ahead[2] + center[0])
     y = np.rint(focal * ahead[1] / ahead[2] + center[1])
     height, width = inverse_depth.shape
-    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    inverse_here = inverse_depth[y[inside].astype(np.intp), x[inside].astype(np.intp)]
-    ratios = ahead[2, inside] * inverse_here
+    is_inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    inverse_here = inverse_depth[y[is_inside].astype(np.intp), x[is_inside].astype(np.intp)]
+    ratios = ahead[2, is_inside] * inverse_here
     ratios = ratios[np.isfinite(ratios) & (ratios > 0)]
     min_count = MIN_OVERLAP * inverse_depth.size / STRIDE**2
     return float(np.median(ratios)) if len(ratios) > min_count else None

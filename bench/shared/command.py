@@ -153,7 +153,7 @@ def running_peers(
     python, survey = find_peers(options.peer_python)
     if names is not None:
         reasons = {
-            name: why for name, why in survey.reasons.items() if name in (*names, "all peers")
+            name: reason for name, reason in survey.reasons.items() if name in (*names, "all peers")
         }
         survey = Survey(survey.versions, reasons)
     with contextlib.ExitStack() as stack:

@@ -51,8 +51,8 @@ class Column:
             getattr(measurement, self.metric) if measurement else None
             for measurement in measurements
         ]
-        known = [value for value in values if value is not None]
-        return fmean(known) if known and len(known) == len(values) else None
+        known_values = [value for value in values if value is not None]
+        return fmean(known_values) if known_values and len(known_values) == len(values) else None
 
     def pairs(self, contest: Contest) -> list[PairInfo]:
         return [pair for pair in contest.pairs if pair.group == self.group]

@@ -82,7 +82,7 @@ def _row(kind: str, openings: Sequence[Opening], frames: int) -> list[str]:
         max(o.first for o in openings),
         median(o.processor for o in openings),
         median(o.refined for o in openings),
-        median(shown for shown, _ in steps),
+        median(display_time for display_time, _ in steps),
         median(refined for _, refined in steps),
     ]
     sizes = [_size([o.memory for o in openings]), _size([o.peak for o in openings])]
@@ -91,8 +91,8 @@ def _row(kind: str, openings: Sequence[Opening], frames: int) -> list[str]:
 
 
 def _size(values: Sequence[float | None]) -> str:
-    known = [value for value in values if value is not None]
-    return f"{median(known):.0f}" if known else "–"
+    known_values = [value for value in values if value is not None]
+    return f"{median(known_values):.0f}" if known_values else "–"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -160,8 +160,8 @@ def _measure_step(tab: Any, arrivals: Arrivals, number: int) -> tuple[float, flo
         arg=f", {number + 1} of ",
         timeout=1000 * PAGE_TIMEOUT,
     )
-    shown = time.perf_counter() - begin
-    return shown, arrivals.last_after(begin, tab) - begin
+    display_time = time.perf_counter() - begin
+    return display_time, arrivals.last_after(begin, tab) - begin
 
 
 def _processor_time(process: int) -> float:

@@ -85,9 +85,9 @@ def _warp(
             for y in range(first_row(band, height, bands), first_row(band + 1, height, bands)):
                 for s in range(strip):
                     u, v = flow[0, y + 1, s + 1], flow[1, y + 1, s + 1]
-                    warped, inside = _sample(image, taps, first_columns + s, y, u, v, lanes)
+                    warped, inside_mask = _sample(image, taps, first_columns + s, y, u, v, lanes)
                     out[0, y + halo, s + halo] = warped
-                    mask[0, y + 1, s + 1] = inside
+                    mask[0, y + 1, s + 1] = inside_mask
                 _repeat_columns(out, y + halo, halo, first_columns, width)
                 if y == 0:
                     for k, position in ti.ndrange(halo, out.shape[2]):
@@ -113,10 +113,10 @@ def _warp_sites(
         y = ti.max(0, ti.min(row - halo, height - 1))
         x = ti.max(0, ti.min(position - halo, width - 1))
         u, v = flow[0, y + 1, x + 1], flow[1, y + 1, x + 1]
-        warped, inside = _sample(image, taps, ti.cast(x, ti.f32), y, u, v, 1)
+        warped, inside_mask = _sample(image, taps, ti.cast(x, ti.f32), y, u, v, 1)
         out[0, row, position] = warped
         if row == y + halo and position >= halo and position < strip + halo:
-            mask[0, y + 1, position - halo + 1] = ti.select(x == position - halo, inside, 0.0)
+            mask[0, y + 1, position - halo + 1] = ti.select(x == position - halo, inside_mask, 0.0)
 
 
 @ti.func
@@ -127,9 +127,9 @@ def _sample(image: ti.template(), taps: ti.template(), column, row, u, v, lanes:
     x = ti.max(0.0, ti.min(target_x, width - 1.0))
     y = ti.max(0.0, ti.min(target_y, height - 1.0))
     zero, one = 0.0 * x, 0.0 * x + 1.0
-    inside = ti.select(column < width, one, zero)
-    inside = ti.select(x == target_x, inside, zero)
-    inside = ti.select(y == target_y, inside, zero)
+    inside_mask = ti.select(column < width, one, zero)
+    inside_mask = ti.select(x == target_x, inside_mask, zero)
+    inside_mask = ti.select(y == target_y, inside_mask, zero)
     left, top = ti.floor(x), ti.floor(y)
     across, down = x - left, y - top
     weights_x, weights_y = ti.static(_weights(across)), ti.static(_weights(down))
@@ -149,7 +149,7 @@ def _sample(image: ti.template(), taps: ti.template(), column, row, u, v, lanes:
         if lane_of(across, lane, lanes) + lane_of(down, lane, lanes) == 0.0:
             pixel = image[_index(top, lane, lanes), _index(left, lane, lanes)]
             set_lane(value, lane, lanes, pixel)
-    return value, inside
+    return value, inside_mask
 
 
 @ti.func

@@ -152,10 +152,10 @@ def _find_blocks(
                     or (ti.static(j == 1) and low_y == high_y)
                     or (ti.static(k == 1) and low_z == high_z)
                 )
-                inside = bx >= 0 and bx < blocks_x and by >= 0 and by < blocks_y
-                inside = inside and bz >= 0 and bz < blocks_z
+                is_in_range = bx >= 0 and bx < blocks_x and by >= 0 and by < blocks_y
+                is_in_range = is_in_range and bz >= 0 and bz < blocks_z
                 number = -1
-                if d > 0 and depth > 0 and inside and not is_repeated:
+                if d > 0 and depth > 0 and is_in_range and not is_repeated:
                     number = (bx * blocks_y + by) * blocks_z + bz
                 out[row, column, sample, i * 4 + j * 2 + k] = number
 
@@ -168,8 +168,8 @@ def _similar_neighbours(inverse_depth: ti.template(), deviation: ti.template(), 
     count = 0
     for j, i in ti.static(ti.ndrange((-1, 2), (-1, 2))):
         row, column = y + j, x + i
-        inside = row >= 0 and row < inverse_depth.shape[0]
-        if inside and column >= 0 and column < inverse_depth.shape[1]:
+        is_in_range = row >= 0 and row < inverse_depth.shape[0]
+        if is_in_range and column >= 0 and column < inverse_depth.shape[1]:
             difference = inverse_depth[row, column] - d
             if ti.max(difference, 0.0 - difference) < max_difference:
                 count += 1

@@ -182,13 +182,13 @@ def _rigid_at(
     k = labels[y, x]
     x0, y0, depth = x_hat[x], y_hat[y], inverse_depth[y, x]
     d = depth / focal
-    right, down = (
+    x_change, y_change = (
         _coordinate_change(change, k, 0, x0, y0, d),
         _coordinate_change(change, k, 1, x0, y0, d),
     )
     depth_change = ti.max(_coordinate_change(change, k, 2, x0, y0, d), MIN_DEPTH_RATIO - 1.0)
     nearness = focal / (1.0 + depth_change)
-    u, v = nearness * (right - x0 * depth_change), nearness * (down - y0 * depth_change)
+    u, v = nearness * (x_change - x0 * depth_change), nearness * (y_change - y0 * depth_change)
     flow[0, y, x], flow[1, y, x] = u, v
     forward = depth * twists[k, 2]
     rotation = ti.static([bind(twists[k, i]) for i in range(3, 6)])

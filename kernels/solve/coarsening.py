@@ -180,12 +180,12 @@ def _relayout(
     for row, position in ti.ndrange(out.shape[1] - 2, new_strip + 2):
         for lane in ti.static(range(lanes)):
             column = lane * new_strip + position - 1
-            inside = column >= 0 and column < width
-            origin = ti.select(inside, column // old_strip, 0)
-            position_in_strip = ti.select(inside, column - origin * old_strip + 1, 0)
+            is_inside = column >= 0 and column < width
+            origin = ti.select(is_inside, column // old_strip, 0)
+            position_in_strip = ti.select(is_inside, column - origin * old_strip + 1, 0)
             for k in range(out.shape[0]):
                 value = lane_of(array[k, row + 1, position_in_strip], origin, lanes)
-                store_lane(out, k, row + 1, position, lane, ti.select(inside, value, 0.0))
+                store_lane(out, k, row + 1, position, lane, ti.select(is_inside, value, 0.0))
 
 
 def add_correction(
@@ -215,9 +215,9 @@ def interpolation_columns(grid: LaneGrid) -> tuple[np.ndarray, np.ndarray]:
     last = coarse_grid(grid).width - 1
     parent = column // 2
     neighbour = np.where(column % 2 == 0, parent - 1, parent + 1)
-    inside = column < grid.width
-    neighbour_weight = np.where(inside & (neighbour >= 0) & (neighbour <= last), 0.25, 0.0)
-    return grid.columns(inside - neighbour_weight), grid.columns(neighbour_weight)
+    is_inside = column < grid.width
+    neighbour_weight = np.where(is_inside & (neighbour >= 0) & (neighbour <= last), 0.25, 0.0)
+    return grid.columns(is_inside - neighbour_weight), grid.columns(neighbour_weight)
 
 
 @lane_kernel

@@ -83,8 +83,10 @@ def sweeps_in_bands(
         return repeat_launches((launch(1), sweeps))
     # One thread computes a single band, so it can run several sweeps per launch. Their number is
     # limited, because a launch cannot be interrupted.
-    full_launches, rest = divmod(sweeps, MAX_SWEEPS)
-    return repeat_launches((launch(MAX_SWEEPS), full_launches), (launch(rest), min(rest, 1)))
+    full_launches, remaining_sweeps = divmod(sweeps, MAX_SWEEPS)
+    return repeat_launches(
+        (launch(MAX_SWEEPS), full_launches), (launch(remaining_sweeps), min(remaining_sweeps, 1))
+    )
 
 
 def repeat_launches(*parts: tuple[Callable[[], None], int]) -> Callable[[], None]:

@@ -109,8 +109,8 @@ def _sharpen_edges(nearness: Floats) -> Floats:
     """Make edges sharp: points between two surfaces would look like threads between them."""
     window = np.ones((5, 5), np.uint8)
     far, near = cv2.erode(nearness, window), cv2.dilate(nearness, window)
-    nearer = np.where(nearness - far < near - nearness, far, near)
-    return np.where(near - far > _MIN_EDGE_STEP, nearer, nearness)
+    nearest_surface = np.where(nearness - far < near - nearness, far, near)
+    return np.where(near - far > _MIN_EDGE_STEP, nearest_surface, nearness)
 
 
 def _paint_images(result: Interpretation) -> tuple[Picture, Picture]:

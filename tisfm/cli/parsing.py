@@ -177,10 +177,10 @@ def _explain(name: str, event: _errors.ParseErrorEvent, words: Sequence[str]) ->
     if isinstance(event, (_errors.BadValue, _errors.InstantiationFailure)) and event.argument:
         argument = event.argument
         option, expected = argument.display_name(), _expected_values(argument)
-        given = _given_values(argument.lowered.name_or_flags, words)
-        if not given:
+        given_values = _given_values(argument.lowered.name_or_flags, words)
+        if not given_values:
             return f"{option} has no value: expected {expected}"
-        text = " ".join(given)
+        text = " ".join(given_values)
         return f"{option} is {text!r}{suggestion(text, _literals(argument))}; expected {expected}"
     if isinstance(event, _errors.UnrecognizedArgs):
         return f"tisfm {name} does not take {' '.join(event.tokens)}"

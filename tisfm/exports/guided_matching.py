@@ -145,18 +145,18 @@ def _warp(inverse_depth: np.ndarray, pose0: PosedCamera, pose1: PosedCamera) -> 
     y = ((np.arange(height) - cy) / pose0.camera.focal).astype(np.float32)[:, None]
     inverse = np.nan_to_num(inverse_depth, nan=0.0, posinf=0.0, neginf=0.0)
     rows = motion[:3].astype(np.float32)
-    outside = np.float32(-4 * (height + width))
+    outside_position = np.float32(-4 * (height + width))
     moved_x, moved_y, z = (row[0] * x + row[1] * y + row[2] + row[3] * inverse for row in rows)
     in_front = z > MIN_DEPTH
     z = np.where(in_front, z, 1)
     cx, cy = pose1.camera.center_for(height, width)
     focal = np.float32(pose1.camera.focal)
     warp = [
-        np.where(in_front, position * (focal / z) + np.float32(center), outside)
+        np.where(in_front, position * (focal / z) + np.float32(center), outside_position)
         for position, center in ((moved_x, cx), (moved_y, cy))
     ]
     # OpenCV needs a limited range.
-    warp = [np.clip(position, outside, -outside) for position in warp]
+    warp = [np.clip(position, outside_position, -outside_position) for position in warp]
     return np.asarray(cv2.merge(warp))
 
 

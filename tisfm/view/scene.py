@@ -293,11 +293,11 @@ class ViewerScene:
 def _spaced_indices(centers: NDArray[np.float64], min_distance: float) -> NDArray[np.int_]:
     """Return indices of positions that get a frustum, with at least `min_distance` between them."""
     candidates = np.unique(np.linspace(0, len(centers) - 1, MAX_FRUSTA).astype(int))
-    chosen = [int(candidates[0])]
+    indices = [int(candidates[0])]
     for k in candidates[1:]:
-        if np.linalg.norm(centers[k] - centers[chosen[-1]]) >= min_distance:
-            chosen.append(int(k))
-    return np.array(chosen)
+        if np.linalg.norm(centers[k] - centers[indices[-1]]) >= min_distance:
+            indices.append(int(k))
+    return np.array(indices)
 
 
 def _mean_up(poses: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -334,6 +334,6 @@ def box_edges(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np
 
 def pose_behind(pose: NDArray[np.float64], depth: float) -> NDArray[np.float64]:
     """Return a pose behind, above and beside another, with the same direction."""
-    moved = pose.copy()
-    moved[:3, 3] += pose[:3, :3] @ np.array(_BEHIND_OFFSET) * depth
-    return moved
+    shifted_pose = pose.copy()
+    shifted_pose[:3, 3] += pose[:3, :3] @ np.array(_BEHIND_OFFSET) * depth
+    return shifted_pose

@@ -77,8 +77,8 @@ def _sample(points: NDArray[np.float64]) -> NDArray[np.float64]:
     near_points = points[points[:, 2] <= _MAX_DEPTH * np.median(points[:, 2])]
     slopes = near_points[:, :2] / near_points[:, 2:]
     low, high = np.percentile(slopes, (_OUTSIDE_PERCENT, 100 - _OUTSIDE_PERCENT), axis=0)
-    chosen = near_points[((slopes >= low) & (slopes <= high)).all(axis=1)]
-    return chosen[:: max(1, len(chosen) // _MAX_POINTS)]
+    inner_points_sample = near_points[((slopes >= low) & (slopes <= high)).all(axis=1)]
+    return inner_points_sample[:: max(1, len(inner_points_sample) // _MAX_POINTS)]
 
 
 def _centered_eye(points: NDArray[np.float64], axis: int, depth: float) -> tuple[float, float]:
