@@ -66,7 +66,8 @@ def test_similar_views_are_the_same_in_blocks(monkeypatch):
     places = random.integers(0, 120, (30, 60, 128)).astype(np.uint8)
     noisy = [np.clip(places[k % 15] + random.integers(0, 9, (60, 128)), 0, 255) for k in range(30)]
     looks = [
-        ImageDescriptors(points=np.zeros((60, 2)), levels=one.astype(np.uint8)) for one in noisy
+        ImageDescriptors(points=np.zeros((60, 2)), quantised_roots=one.astype(np.uint8))
+        for one in noisy
     ]
     whole = find_similar_views(looks, min_distance=4)
     monkeypatch.setattr(loops, "BLOCK_VIEWS", 7)
