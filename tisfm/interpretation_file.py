@@ -163,10 +163,12 @@ def _read(file: NpzFile) -> dict[str, Any]:
     packings = _read_packings(file, about["packed"])
     names = [name for name in _MEMORY_TYPES if name in file]
     layout = {
-        name: (packings[name].shape, packings[name].kind) if name in packings else file.header(name)
+        name: (packings[name].shape, packings[name].dtype)
+        if name in packings
+        else file.header(name)
         for name in names
     }
-    kinds = {name: (packing.kind,) for name, packing in packings.items()}
+    kinds = {name: (packing.dtype,) for name, packing in packings.items()}
     _check_layout(layout, _STORED_TYPES | kinds, settings)
     if packings:
         _refuse_too_many_pixels(file, layout["frame"][0])

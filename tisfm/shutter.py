@@ -164,12 +164,12 @@ class GlobalShutterFrameMap(GlobalShutterMap):
 
     def __init__(
         self,
-        rolling: RollingShutterMotion,
+        motion: RollingShutterMotion,
         frame: int,  # a frame with a rate
         shape: tuple[int, int],  # height and width, px
     ) -> None:
-        rate, median_inverse_depth = rolling.rates[frame], rolling.inverse_depth[frame]
-        super().__init__(rolling.camera, rolling.readout, rate, median_inverse_depth, shape)
+        rate, median_inverse_depth = motion.rates[frame], motion.inverse_depth[frame]
+        super().__init__(motion.camera, motion.readout, rate, median_inverse_depth, shape)
 
 
 def interpolation_nodes(shape: tuple[int, ...]) -> np.ndarray:

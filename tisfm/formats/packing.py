@@ -44,7 +44,7 @@ class Packing:
     step: float | None
 
     @property
-    def kind(self) -> np.dtype:
+    def dtype(self) -> np.dtype:
         """The type of the integers."""
         return np.dtype(self.integer_type).newbyteorder("<")
 
@@ -114,7 +114,7 @@ def unpack(
     Raises ValueError if the stream is damaged, or has another number of integers. No more bytes are
     unpacked than the array has.
     """
-    integers = _decompress(stream, packing.shape, packing.kind, row_axis)
+    integers = _decompress(stream, packing.shape, packing.dtype, row_axis)
     if packing.step is not None:
         return np.multiply(integers, np.float32(packing.step), dtype=np.float32)
     if kind == np.float32:
