@@ -75,7 +75,9 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--arch", choices=ARCHS, default="cpu", help="where kernels run")
     parser.add_argument("--sizes", nargs="+", metavar="HxW")
     parser.add_argument("--threads", nargs="+", type=int, metavar="N")
-    parser.add_argument("--only", metavar="KEYWORD", help="as pytest -k; memory for memory")
+    parser.add_argument(
+        "--only", metavar="KEYWORD", help="as for pytest -k; the word memory measures memory"
+    )
     parser.add_argument("--full-reference", action="store_true", help="NumPy pairs at every size")
     parser.add_argument("--output", metavar="NAME", help="name of the files in bench/results")
     options = parser.parse_args(arguments)

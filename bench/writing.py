@@ -35,8 +35,8 @@ from tisfm.formats import write_png
 from tisfm.scenes import static_scene
 from tisfm.settings import Preset
 
-# Time over the loop's: without figures, and with a figure of every tenth pair; set by hand.
-BARS = 1.3, 1.5
+# Bounds of the time over the loop's: without figures, and with every tenth figure; set by hand.
+MAX_RATIOS = 1.3, 1.5
 FIGURE_OPTIONS = ("--no-figures",), ("--figures", "10")
 NAMES = "`tisfm run --no-figures`", "`tisfm run --figures 10`"
 ROUNDS = 7  # timed rounds
@@ -108,7 +108,7 @@ def measure(source: Path, preset: Preset, rounds: int) -> Outcome:
 def bars(outcome: Outcome) -> list[Bar]:
     return [
         Bar(f"{name} over interpret_sequence", outcome.ratios(kind)[1], bar)
-        for kind, (name, bar) in enumerate(zip(NAMES, BARS, strict=True))
+        for kind, (name, bar) in enumerate(zip(NAMES, MAX_RATIOS, strict=True))
     ]
 
 

@@ -16,10 +16,8 @@ from tisfm.scenes import static_scene
 
 WARM_UP_SIZE = (96, 128)  # px
 MIN_ERROR = 1e-6  # lower limit of errors before their logarithm is taken
-FAILURE_ERROR = {
-    "direction": 90.0,
-    "abs_rel_limited": 1.0,
-}  # error of a failure, to choose a threshold
+# Error that a failure counts as in the choice of a threshold: degrees, and a share.
+FAILURE_ERROR = {"direction": 90.0, "abs_rel_limited": 1.0}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -169,10 +169,8 @@ def _select_entries(data: Path, layout: Layout, selection: Selection) -> Iterato
         number = int("".join(filter(str.isdigit, pair.name)))
         if number in selection.first:
             name = pair.name
-            if selection.group in (
-                *ROOMS,
-                *WIDE_BASELINES,
-            ):  # names are numbers, and each pair occurs twice
+            # In these groups names are numbers, and each pair occurs twice.
+            if selection.group in (*ROOMS, *WIDE_BASELINES):
                 name = f"{selection.folder} {name}, {selection.step} apart"
             if selection.pose_given:
                 name += POSE_GIVEN

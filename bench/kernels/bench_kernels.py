@@ -24,7 +24,7 @@ DEPTH = 1  # components of the model with inverse depth as the only unknown
 SOLVERS = ("cholesky", "closed_form")
 EDGES = ("separate", "joint")  # a weight for each component, or one weight for all
 SLOW = ("improve",)  # kernels whose reference takes minutes on large images
-LARGEST_OF_SLOW = (480, 640)  # px, height and width, for these
+MAX_SLOW_SIZE = (480, 640)  # px, height and width: larger images skip the slow kernels
 LEXICOGRAPHIC_SIZE = (48, 64)  # px: a plain loop in Python is slow
 
 # Relative to the largest value of a component: a few roundings. It is larger for matrices with
@@ -86,11 +86,11 @@ class Case:
         return replace(self, solver="")
 
     def tolerance(self, problem: Problem) -> float:
-        if self.kernel in AT_PLACES:
+        if self.kernel in POSITION_TOLERANCES:
             # A position has an error of some 2⁻²⁴ of the width; slopes are half the range per px.
-            return AT_PLACES[self.kernel] * problem.width * 2.0**-22
-        if self.kernel in OF_FLOW:
-            return OF_FLOW[self.kernel] * max(1.0, 1.5 * np.abs(problem.flow).max())
+            return POSITION_TOLERANCES[self.kernel] * problem.width * 2.0**-22
+        if self.kernel in FLOW_TOLERANCES:
+            return FLOW_TOLERANCES[self.kernel] * max(1.0, 1.5 * np.abs(problem.flow).max())
         return TOLERANCES.get(self.kernel, TOLERANCE)
 
     def label(self, problem: Problem) -> dict:
@@ -100,10 +100,14 @@ class Case:
 
 # Tolerance of kernels whose weights are differences of numbers as large as ∇I·u, for the flow u, or
 # of their squares (`add_frame`).
-OF_FLOW = {"constancy_constraints": TOLERANCE, "join": TOLERANCE, "add_frame": 10 * TOLERANCE}
+FLOW_TOLERANCES = {
+    "constancy_constraints": TOLERANCE,
+    "join": TOLERANCE,
+    "add_frame": 10 * TOLERANCE,
+}
 # Factor of the tolerance for kernels that sample at target positions. Costs also depend on the
 # derivatives there.
-AT_PLACES = {
+POSITION_TOLERANCES = {
     "warp": 1,
     "prolong": 1,
     "splat": 1,
@@ -112,7 +116,7 @@ AT_PLACES = {
     "score": 4,
     "costs": 4,
 }
-# Kernels on plain images, or with vectors of their own.
+# Kernels on plain images, or with other vectors than lanes.
 WITHOUT_LANES = (
     "splat",
     "hidden_pixels",
@@ -223,7 +227,7 @@ def reference_run(problem, case):
 
 def skip_minutes(problem, case, full_reference):
     """Skip a case whose reference takes minutes."""
-    large = problem.height * problem.width > np.prod(LARGEST_OF_SLOW)
+    large = problem.height * problem.width > np.prod(MAX_SLOW_SIZE)
     if case.kernel in SLOW and large and not full_reference:
         pytest.skip("the reference takes minutes at this size: --full-reference runs it")
 

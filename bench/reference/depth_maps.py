@@ -8,8 +8,8 @@ from tisfm.camera import Camera
 Array = np.ndarray  # of float64
 
 MAX_RELATIVE_STEP = 0.05  # relative difference of inverse depth between pixels of one surface
-MIN_RELATIVE_DEVIATION = 1e-3  # of inverse depth; smaller deviations are raised to it
-RADIUS = 3  # px, of the window with votes on the surface of a pixel
+MIN_RELATIVE_DEVIATION = 1e-3  # share of inverse depth; smaller deviations count as this
+RADIUS = 3  # px: half side of the window whose pixels vote
 DISTANCE_WEIGHT = 0.1  # 1/px²: a pixel at a distance d has the weight 1/(1 + 0.1 d²)
 
 

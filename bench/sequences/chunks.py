@@ -32,7 +32,7 @@ SEQUENCES = (
     ("tum_fr1_rpy", (60,)),
 )
 ROUNDS = (450, (150,))  # frames of the film, and of its chunks
-ONE_CHUNK = 100_000  # frames of a chunk: more than any sequence has
+ONE_CHUNK = 100_000  # frames: more than any sequence has, so that it is one chunk
 SETTINGS = tisfm.Settings.preset("fast", motion="camera")
 FIGURES = {  # name of a figure → its format
     "sequence": "",

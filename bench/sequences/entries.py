@@ -21,7 +21,8 @@ SEQUENCES = (
     ("fountain", 1),
     ("kitti_odometry_06", 1),
 )
-# Folder, and the frame from which every second frame is left out, as if the car drove faster.
+# Folder, and the number of the frame from which every second frame is left out: the car then seems
+# to drive faster.
 THINNED = (("kitti_odometry_06", 25),)
 MAX_DEPTH = 40.0  # m: larger true depths do not count
 

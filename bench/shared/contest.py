@@ -19,10 +19,10 @@ from tisfm.metrics import angular_error, endpoint_error, outlier_rate
 from tisfm.settings import Preset, Settings
 
 WARM_UP_SIZE = (96, 128)  # px, of the first call of every method
-# A method that takes less runs once untimed before each timed call, so that caches are warm.
+# A method of shorter calls runs once untimed before each timed call, so that caches are warm.
 FAST_CALL = 0.5  # s
 SLOW_CALL = 3.0  # s: a slower call has no warm-up on each pair
-MAX_SLOW_ROUNDS = 3  # rounds of such a slow method, at most
+MAX_SLOW_ROUNDS = 3  # rounds of a slow method
 
 T = TypeVar("T")
 

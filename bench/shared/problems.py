@@ -16,12 +16,12 @@ SMOOTHNESS = {
 }
 RELAXATION = 1.9  # over-relaxation of a sweep
 CONSTRAINTS = {"brightness": 0.3, "gradient": 1.0, "normalization": 0.1}  # weights; grey levels
-DATA_SCALES = (0.3 * 0.1**2, 0.1**2)  # m ε² of both
+DATA_SCALES = (0.3 * 0.1**2, 0.1**2)  # m ε² of brightness and of gradient
 UNIQUENESS = {"density": 1.23, "flow_difference": 0.07}  # pixels per pixel; px/frame
 DENSITY_RATIO = 0.7  # coarse over fine sampling density
 RHO_NOISE = 0.1  # px/frame, on ρ̂, so that weights of edges lie well between 0 and 1
 LINE_STEPS = (0.5, -1.0)  # along two directions; repeated steps neither grow nor vanish
-EDGE_RATE = 0.2  # of edge weights, per grey level
+EDGE_RATE = 0.2  # growth of the divisor of edge weights, per grey level
 TOLERATED_SQUARE = 0.15**2  # px²
 HYPOTHESES = 0.5 + np.arange(16)  # px/frame, of inverse depth; fill whole vectors of lanes
 GUESS_TRUNCATION = 4.0  # px/frame
@@ -152,7 +152,7 @@ class Problem:
 
     @cached_property
     def certain(self) -> np.ndarray:
-        """Whether a hypothesis moves a pixel clearly inside or outside the image, (H, W, N)."""
+        """Whether the target of a hypothesis is clearly inside or outside the image, (H, W, N)."""
         rows, columns = np.mgrid[: self.height, : self.width]
         rotation, translation = self.motions[0, :, :3], self.motions[0, :, 3]
         certain = []

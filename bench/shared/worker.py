@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-MESSAGE_LINES = 3  # shown lines of the messages of a dead worker, the last ones
+MESSAGE_LINES = 3  # last lines of the messages of a dead worker that an error quotes
 CLOSE_TIMEOUT = 20.0  # s from closing a worker to killing it
 
 

@@ -47,9 +47,7 @@ HEAD = (
     "processor until then, s", "all points arrived, s", "step of the slider, s",
     "its points arrived, s", "memory, MB", "peak, MB",
 )  # fmt: skip
-CAMERA_MOTION = np.array(
-    (0.1, 0.0, 0.04, 0.0, 0.01, 0.0)
-)  # motion of the camera per frame, m and rad
+CAMERA_MOTION = np.array((0.1, 0.0, 0.04, 0.0, 0.01, 0.0))  # per frame, m and rad
 DRIFT = 0.01  # m per frame, added to the long path so that no two cameras coincide
 
 

@@ -171,7 +171,7 @@ def examine_gpus(results: TrialResults, gpu_results: TrialResults) -> Finding:
             "GPU",
             "absent",
             f"not known: {result['error']}",
-            "none is needed; give --arch cpu if TI_ARCH says otherwise",
+            "none is needed; give --arch cpu if TI_ARCH names another arch",
         )
     software = software_vulkan_name(results)
     gpus = [arch for arch in result["archs"] if not (arch == "vulkan" and software)]

@@ -72,7 +72,7 @@ class Controls:
 
 
 def features_of(result: ResultFrames) -> tuple[object, ...]:
-    """Return the features of a result that decide which controls the page has."""
+    """Return the features of a result that determine the controls of the page."""
     return result.quantities, result.has_one_scale, result.can_fuse, bool(result.objects)
 
 

@@ -39,7 +39,7 @@ class Playback:
 
 _FULL_DRAWING_DELAY = 0.25  # s without a change before everything is drawn; set by hand
 _BROWSER_CHECK_INTERVAL = 0.05  # s between checks for the first browser
-_FIRST_PICTURE_TIME = 1.0  # s that a browser gets for its first picture
+_FIRST_PICTURE_TIME = 1.0  # s, in which a new browser draws its first picture
 _FOLDER_CHECK_INTERVAL = 1.0  # s between checks of the folder of the result
 _THUMBNAIL_PAUSE = 0.02  # s between thumbnails, so that changes are noticed in time
 
