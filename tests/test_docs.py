@@ -17,6 +17,7 @@ import pytest
 from PIL import Image
 
 import tisfm
+from tests.draws import nightly_except
 from tisfm.cli.command_line import main
 from tisfm.cli.demo_animation import animation_frames
 from tisfm.cli.startup import BROKEN_PIPE, INTERRUPTED, WRONG_OPTION
@@ -100,28 +101,38 @@ def test_the_changelog_has_this_version():
     assert all(when != "not released yet" for _, when in found[1:])
 
 
-def test_the_picture_is_small_and_up_to_date(tmp_path):
+def test_the_picture_is_small():
     picture = DOCS / "demo.png"
     assert f"]({picture.relative_to(ROOT).as_posix()})" in README.read_text(encoding="utf-8")
     assert picture.stat().st_size < LARGEST
     with Image.open(picture) as image:
         kept = np.asarray(image.convert("RGB")).astype(float)
     assert kept.shape[1] > 4 * kept.shape[0]  # four panels side by side
+
+
+@pytest.mark.nightly
+def test_the_picture_is_up_to_date(tmp_path):
+    with Image.open(DOCS / "demo.png") as image:
+        kept = np.asarray(image.convert("RGB")).astype(float)
     runpy.run_path(str(DOCS / "picture.py"))["draw"](tmp_path / "new.png")
     with Image.open(tmp_path / "new.png") as image:
         drawn = np.asarray(image.convert("RGB")).astype(float)
     assert np.abs(kept - drawn).mean() < 2  # grey levels: other processors round otherwise
 
 
-def test_the_animation_is_small_and_up_to_date():
+def test_the_animation_is_small():
     animation = DOCS / "demo.webp"
     assert f"]({animation.relative_to(ROOT).as_posix()})" in README.read_text(encoding="utf-8")
     assert animation.stat().st_size < LARGEST_ANIMATION
+
+
+@pytest.mark.nightly
+def test_the_animation_is_up_to_date():
     scene = static_scene("forward+rotation", 240, 320)
     settings = tisfm.Settings(motion="camera")
     result = tisfm.interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=settings)
     made = animation_frames(result)
-    with Image.open(animation) as image:
+    with Image.open(DOCS / "demo.webp") as image:
         assert image.n_frames == len(made)
         for number, picture in enumerate(made):
             image.seek(number)
@@ -149,7 +160,11 @@ def test_python_is_valid(path):
         compile(code, f"{path.name}, snippet {number}", "exec")
 
 
-@page
+LONG = [DOCS / "pictures.md", DOCS / "exports.md", DOCS / "guides" / "cluster.md"]
+SHORT = [path for path in PAGES if path not in LONG]
+
+
+@pytest.mark.parametrize("path", nightly_except(*SHORT, of=PAGES), ids=name_of)
 def test_snippets_run(path, documented_here):
     snippets = blocks(path, "python")
     assert all(runs for runs, _ in snippets)

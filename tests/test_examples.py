@@ -6,6 +6,7 @@ from importlib import import_module
 
 import pytest
 
+from tests.draws import nightly_except
 from tests.test_api import PUBLIC
 
 METHODS = {
@@ -35,6 +36,9 @@ def with_examples():
 
 
 EXAMPLES = with_examples()
+LONG = ("tisfm.evaluation.evaluate", "tisfm.exports.write_colmap", "tisfm.exports.write_nerfstudio",
+        "tisfm.horn_schunck.horn_schunck", "tisfm.reconstruct_stream")  # fmt: skip
+SHORT = [name for name in EXAMPLES if name not in LONG]
 
 
 def examples_of(name):
@@ -45,7 +49,7 @@ def examples_of(name):
     return example if heading and example.examples else None
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", nightly_except(*SHORT, of=EXAMPLES))
 def test_docstring_example_runs(name, documented_here):
     if name in NEEDS:
         pytest.importorskip(NEEDS[name])

@@ -4,6 +4,7 @@ from importlib import import_module
 
 import pytest
 
+from tests.draws import nightly_except
 from tests.one_thread import bits_on_one_thread, several_threads
 from tisfm import runtime
 
@@ -17,7 +18,9 @@ MODULES = [
 
 
 @several_threads
-@pytest.mark.parametrize("module", MODULES)
+@pytest.mark.parametrize(
+    "module", nightly_except("tests.fusion.test_points", "tests.test_pair", of=MODULES)
+)
 def test_same_bits_with_one_thread_and_with_all(module):
     runtime.start()
     assert bits_on_one_thread(module) == import_module(module).bits()
