@@ -36,9 +36,7 @@ def test_there_are_two():
 SHORT = [path for path in NOTEBOOKS if path.stem == "pair"]
 
 
-@pytest.mark.parametrize(
-    "path", nightly_except(*SHORT, of=NOTEBOOKS), ids=lambda path: path.stem
-)
+@pytest.mark.parametrize("path", nightly_except(*SHORT, of=NOTEBOOKS), ids=lambda path: path.stem)
 def test_it_runs(path, tmp_path, monkeypatch, no_window):
     monkeypatch.chdir(tmp_path)
     names = {}

@@ -185,6 +185,7 @@ class InterruptedAtTheThirdItem(InThisProcess):
         return super().submit(function, *arguments)
 
 
+@pytest.mark.nightly  # tests/reconstruction/chunked/test_resume.py has a kill
 def test_an_interrupted_command_is_resumed(
     quick_workers, tisfm_run, frames, chunked, work_folder, monkeypatch
 ):

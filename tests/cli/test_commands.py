@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -39,6 +40,7 @@ def interpreted(monkeypatch):
     return seen
 
 
+@pytest.mark.nightly
 def test_demo(quick_workers, tisfm_run, interpreted):
     """It interprets no pair twice with the same settings, and is right."""
     code, out, err = tisfm_run("demo", "--height", "96", "--width", "128", "-o", "out")
@@ -73,12 +75,20 @@ def test_demo(quick_workers, tisfm_run, interpreted):
     assert len(whole) == 8 or quick_workers == []  # other processes list their own calls
 
 
-@pytest.mark.nightly
-def test_the_demo_has_a_default_folder(tisfm_run, work_folder):
-    assert tisfm_run("demo", "--height", "24", "--width", "32")[0] == 0
+def test_the_demo_has_a_default_folder(quick_workers, tisfm_run):
+    """Its table has a row for each method."""
+    code, out, err = tisfm_run("demo", "--height", "24", "--width", "32")
+    assert code == 0
+    assert err.startswith(f"Pictures and data in tisfm-demo. Open {Path('tisfm-demo')}")
+    assert len([line for line in out.splitlines() if line.startswith("│")]) == 6
     assert set(files("tisfm-demo")) == DEMO_FILES
+    for motion in ("camera", "objects"):
+        folder = f"tisfm-demo/{motion}"
+        assert set(files(folder)) == promised("demo") | {"demo_pose.txt", "demo_flow.flo"}
+        assert load(folder, "demo").settings == Settings(motion=motion)
 
 
+@pytest.mark.nightly  # test_workers.py ends another command with its processes
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT to send to one process")
 def test_ctrl_c_ends_the_demo(work_folder):
     code = """

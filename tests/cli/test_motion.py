@@ -8,6 +8,7 @@ import pytest
 
 import tisfm
 from tests.cli.command_line import RECORDS, files, kept, load, record
+from tests.draws import nightly_except
 from tisfm.formats import read_depth_png, read_flo, read_image, write_png
 from tisfm.rigid import pose_matrix
 from tisfm.running import pair_files, pair_writer
@@ -131,8 +132,12 @@ def replaced(result, **arrays):
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 @pytest.mark.parametrize(
-    "status", ["no_motion", "pure_rotation", "little_parallax", "no_texture", "unrelated"]
-)
+    "status",
+    nightly_except(
+        "pure_rotation", "unrelated",
+        of=["no_motion", "pure_rotation", "little_parallax", "no_texture", "unrelated"],
+    ),
+)  # fmt: skip
 def test_outputs_without_depth(tisfm_run, work_folder, status):
     frame0 = SCENE.frame0 if status != "no_texture" else np.full((H, W), 7, np.uint8)
     frame1 = {
@@ -301,7 +306,7 @@ def test_resume_refuses_other_poses(tisfm_run):
     assert files("out") == before
 
 
-@pytest.mark.parametrize("when", ["interpret", "write_motions"])
+@pytest.mark.parametrize("when", nightly_except("write_motions", of=["interpret", "write_motions"]))
 def test_an_interrupted_run_is_resumed_to_the_same_bytes(tisfm_run, monkeypatch, when):
     options = ("--motion", "camera", "--no-figures")
     assert tisfm_run("run", "frames", "-o", "whole", *options)[0] == 0

@@ -21,6 +21,7 @@ from tests.cli.command_line import (
     load,
     record,
 )
+from tests.draws import nightly_except
 from tests.waiting import PATIENCE, started, wait_for
 from tisfm import interpretation_file, pair, runtime
 from tisfm.cli.command_line import main
@@ -134,8 +135,12 @@ def test_resume_refuses_a_damaged_record(tisfm_run, frames, text):
 
 
 @pytest.mark.parametrize(
-    "when", ["interpret", "write_depth_png", "save_figure", "first", "write_npz"]
-)
+    "when",
+    nightly_except(
+        "interpret", "first", "write_npz",
+        of=["interpret", "write_depth_png", "save_figure", "first", "write_npz"],
+    ),
+)  # fmt: skip
 def test_an_interrupted_run_is_resumed_to_the_same_bytes(tisfm_run, frames, monkeypatch, when):
     """Ctrl-C comes at the second pair ("first": at the first one), here or there."""
     options = [] if when == "save_figure" else ["--no-figures"]

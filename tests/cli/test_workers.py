@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from tests.cli.command_line import TISFM, H, W, assert_one_line, files, make_frames, record
+from tests.draws import nightly_except
 from tests.waiting import PATIENCE, started, wait_for
 from tisfm.camera import Camera
 from tisfm.formats import write_png
@@ -100,7 +101,7 @@ def test_workers_share_a_video(quick_workers, tisfm_run, work_folder):
     assert_same_as_one_process(tisfm_run, *QUIET, source="clip.avi", shared=("--workers", "3"))
 
 
-@pytest.mark.parametrize("said", [2, 5, 9, 11])
+@pytest.mark.parametrize("said", nightly_except(2, 11, of=[2, 5, 9, 11]))
 def test_workers_share_a_video_with_a_wrong_frame_count(
     quick_workers, tisfm_run, work_folder, said
 ):
@@ -303,6 +304,7 @@ def is_running(pid):
 on_linux = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="there is no /proc")
 
 
+@pytest.mark.nightly  # tests/running/test_pool.py kills a process of a pool
 @on_linux
 def test_killed_worker_is_replaced(tisfm_run, film):
     assert tisfm_run(*RUN, *QUIET, "-o", "one")[0] == 0
@@ -315,7 +317,7 @@ def test_killed_worker_is_replaced(tisfm_run, film):
 
 
 @on_linux
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("sent", nightly_except(signal.SIGINT, of=[signal.SIGINT, signal.SIGKILL]))
 def test_workers_end_with_the_run(tisfm_run, film, sent):
     assert tisfm_run(*RUN, *QUIET, "-o", "one")[0] == 0
     with waiting_worker() as (process, worker):
