@@ -76,13 +76,14 @@ def test_wrong_labels_are_refused(tisfm_run, clip):
 
 
 def test_the_size_of_an_object_gives_its_scale(tisfm_run, work_folder):
-    longer = bodies_film(bodies_path(12), 120, 160)
+    longer = bodies_film(bodies_path(12), 180, 240)
     for name in ("film", "things"):
         (work_folder / name).mkdir()
     for k, (frame, labels) in enumerate(zip(longer.frames, longer.labels, strict=True)):
         cv2.imwrite(f"film/f{k:02d}.png", frame)
         write_label_png(f"things/f{k:02d}.png", labels)
-    options = (*OPTIONS, "--labels", "things", "--object-sizes", "1=0.6", "3=0.41")
+    focal = ("--focal", str(longer.camera.focal))
+    options = (*OPTIONS, *focal, "--labels", "things", "--object-sizes", "1=0.6", "3=0.41")
     assert tisfm_run("reconstruct", "film", "-o", "out", *options)[0] == 0
     found = {thing.id: thing for thing in tisfm.Reconstruction.load("out").objects}
     assert found[1].scale_from == "size"

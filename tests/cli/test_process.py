@@ -15,8 +15,9 @@ from tisfm.cli.command_line import main
 
 def test_redirected_output_has_no_banner(frames):
     """Neither a banner nor a progress bar in what is redirected; the module is the command."""
+    command = ["tisfm", "run", "frames", "-o", "out", "--no-figures", "--preset", "fast"]
     done = subprocess.run(
-        [sys.executable, "-m", *"tisfm run frames -o out --no-figures --preset fast".split()],
+        [sys.executable, "-m", *command],
         capture_output=True, text=True, env={**os.environ, "PYTHONIOENCODING": "utf-8"},
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (0, "")
