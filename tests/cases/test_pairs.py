@@ -6,6 +6,7 @@ import pytest
 
 import tisfm
 from tests.cases.inputs import FOCAL, HEIGHT, WIDTH, room
+from tests.pairwise import pairwise
 
 
 def grain(seed, height=HEIGHT, width=WIDTH):
@@ -29,15 +30,13 @@ def interpreted(frame0, frame1, motion):
     return tisfm.interpret(*frames, camera=tisfm.Camera(focal=FOCAL), settings=settings)
 
 
-@pytest.mark.parametrize("motion", ["camera", "objects"])
-@pytest.mark.parametrize("margin", [50, 60, 70])
+@pairwise(motion=["camera", "objects"], margin=[50, 60, 70], short=True)
 def test_cut_between_pictures_of_one_layout(motion, margin):
     status = interpreted(layout(0, margin), layout(1, margin), motion).status
     assert status == "unrelated" and "differs in the second frame" in status.message
 
 
-@pytest.mark.parametrize("motion", ["camera", "objects"])
-@pytest.mark.parametrize("noise", [0, 3, 8])
+@pairwise(motion=["camera", "objects"], noise=[0, 3, 8], short=True)
 def test_camera_at_rest_is_not_a_cut(motion, noise):
     rng = np.random.default_rng(0)
     frames = [room(1)[0] + rng.normal(0, noise, (HEIGHT, WIDTH)) for _ in range(2)]
@@ -55,9 +54,9 @@ def with_thing(height, width, move):
     return frames
 
 
-@pytest.mark.parametrize("motion", ["camera", "objects"])
-@pytest.mark.parametrize(("height", "width", "move"), [(60, 140, 8), (120, 160, 60)])
-def test_object_that_moves_before_a_camera_at_rest_is_not_a_cut(height, width, move, motion):
+@pairwise(motion=["objects", "camera"], size_and_move=[(60, 140, 8), (120, 160, 60)], short=True)
+def test_object_that_moves_before_a_camera_at_rest_is_not_a_cut(size_and_move, motion):
+    height, width, move = size_and_move
     assert interpreted(*with_thing(height, width, move), motion).status != "unrelated"
 
 

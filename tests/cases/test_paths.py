@@ -92,7 +92,9 @@ ABOVE = (0, -0.35, 0)  # m/frame, as a drone that looks down
     [
         (flight(ABOVE), {}),
         pytest.param(flight(ABOVE, 0.02), {}, marks=pytest.mark.nightly),
-        (flight((0.3, 0, 0.12), 0.01), {"normal": (0.5, 0, 0.866)}),
+        pytest.param(
+            flight((0.3, 0, 0.12), 0.01), {"normal": (0.5, 0, 0.866)}, marks=pytest.mark.nightly
+        ),
         pytest.param(flight(ABOVE), {"relief": 0.02}, marks=pytest.mark.nightly),
         pytest.param(flight(ABOVE), {"relief": 0.05}, marks=pytest.mark.nightly),
         pytest.param(flight(ABOVE), {"relief": 0.1}, marks=pytest.mark.nightly),

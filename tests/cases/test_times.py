@@ -10,6 +10,7 @@ import pytest
 import tisfm
 from tests.cases.inputs import room, sliding, write_film
 from tests.cli.conftest import tisfm_run, work_folder  # noqa: F401
+from tests.draws import nightly_except
 from tisfm.exports import write_kitti_paths, write_tum_paths
 from tisfm.reconstruction.path.given_poses import poses_of_frames
 from tisfm.sources.frame_reader import SourceWarning
@@ -41,7 +42,9 @@ def noted(err):
     return [line.removeprefix("note: ") for line in err.splitlines() if line.startswith("note: ")]
 
 
-@pytest.mark.parametrize("film", ["repeated_times.mkv", "doubled.ts"])
+@pytest.mark.parametrize(
+    "film", nightly_except("repeated_times.mkv", of=["repeated_times.mkv", "doubled.ts"])
+)
 def test_result_is_complete(tisfm_run, tmp_path, film):  # noqa: F811
     path = (repeated if film.endswith("mkv") else doubled)(tmp_path / film)
     code, out, err = tisfm_run("reconstruct", str(path), "-o", "out", "--preset", "fast",
@@ -82,7 +85,7 @@ def test_chunks_print_the_note_before_their_work(tisfm_run, tmp_path):  # noqa: 
 @pytest.mark.parametrize("missing", [[4], range(COUNT)], ids=["one", "all"])
 def test_frames_without_times(tmp_path, monkeypatch, missing):
     """If no frame has a time, there is no note."""
-    path = write_film(tmp_path / "a.mkv", sliding(COUNT))
+    path = write_film(tmp_path / "a.mkv", sliding(6))
     number = iter(range(10**6))
 
     def time(frame, stream):
@@ -100,6 +103,7 @@ def test_frames_without_times(tmp_path, monkeypatch, missing):
     assert len(notes) == (len(missing) == 1) and all("frame 4 has no time" in one for one in notes)
 
 
+@pytest.mark.nightly
 def test_stream_warns_once(tmp_path):
     path = repeated(tmp_path / "a.mkv", sliding(COUNT))
     with warnings.catch_warnings(record=True) as told:
@@ -114,7 +118,7 @@ def test_stream_warns_once(tmp_path):
 
 def test_run_and_a_batch_print_the_note(tisfm_run, tmp_path):  # noqa: F811
     path = repeated(tmp_path / "a.mkv", sliding(COUNT))
-    options = ("--preset", "fast", "--outputs", "npz")
+    options = ("--preset", "fast", "--outputs", "npz", "--stop", "4")
     code, _, err = tisfm_run("run", str(path), "-o", "out", *options)
     assert code == 0
     (note,) = noted(err)
@@ -123,7 +127,8 @@ def test_run_and_a_batch_print_the_note(tisfm_run, tmp_path):  # noqa: F811
     assert json.loads(record)["notes"] == [note]
     assert tisfm_run("run", str(path), "-o", "out", *options, "--resume")[0] == 0
     assert Path("out/run.json").read_bytes() == record
-    Path("jobs.csv").write_text(f"source,output,preset,outputs\n{path},batch,fast,npz\n")
+    jobs = f"source,output,preset,outputs,stop\n{path},batch,fast,npz,4\n"
+    Path("jobs.csv").write_text(jobs)
     code, _, err = tisfm_run("batch", "jobs.csv")
     assert code == 0 and f"batch: note: {note}" in err.splitlines()
 

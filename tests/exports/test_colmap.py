@@ -70,6 +70,7 @@ def test_positions_are_those_of_the_frames(film, found):
     assert np.median(errors) < 0.15 and np.percentile(errors, 90) < 0.8
 
 
+@pytest.mark.nightly
 def test_positions_do_not_follow_a_wrong_depth(film, found, copied):
     """They are measured: projected from points that are off, they would be off by pixels."""
     rows = np.linspace(1.06, 0.94, found.shape[0], dtype=np.float32)[:, None]
@@ -250,6 +251,7 @@ def test_frames_without_texture_give_a_model_of_poses(copied, tmp_path):
     assert len(model.images) == len(copied) and model.num_points3D() == 0
 
 
+@pytest.mark.nightly
 def test_more_points_where_they_may_be_nearer(found):
     few, many = (measure_tracks(found, 0, spacing=spacing) for spacing in (24, 6))
     assert 100 < len(few) < 0.6 * len(many)

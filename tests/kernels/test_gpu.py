@@ -130,7 +130,7 @@ def assert_the_same(result, expected):
 # On the CPU as on a GPU
 
 
-@pytest.mark.parametrize("case", nightly_except("camera", of=CASES))
+@pytest.mark.parametrize("case", nightly_except("translation", of=CASES))
 def test_kernels_of_a_gpu_give_the_same_answer(case, tmp_path):
     assert_the_same(*interpreted_elsewhere(EMULATED, [case], tmp_path)[case])
 

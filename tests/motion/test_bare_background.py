@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import tisfm
+from tests.draws import nightly_except
 from tests.motion.one_motion import FAST_OBJECTS, interpreted, shared
 from tests.motion.one_motion import OBJECTS as BALANCED
 from tests.rendered import room, two_blocks
@@ -93,7 +94,7 @@ def test_label_and_motion_of_the_object(carried, scene):
     np.testing.assert_allclose(moved, MOVED, atol=0.2)
 
 
-@pytest.mark.parametrize("preset", ["fast", "balanced"])
+@pytest.mark.parametrize("preset", nightly_except("balanced", of=["fast", "balanced"]))
 def test_deviation_and_confidence_of_interpolated_depth(scene, carried, preset):
     """With `fast`, depth is interpolated on a coarser level than that of the labels."""
     result = carried if preset == "balanced" else interpreted(scene, FAST_OBJECTS)
@@ -155,6 +156,7 @@ def test_an_object_does_not_change_depth_behind_it():
     assert off(behind, body) < 0.4 * off(misled, body)
 
 
+@pytest.mark.nightly
 def test_a_limit_of_iterations_is_reported(scene):
     pyramid, settings, solution, labels, motion = solved(scene, scene.labels)
     limited = replace(solution, converged=False)

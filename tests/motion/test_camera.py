@@ -10,6 +10,7 @@ import pytest
 import tisfm
 from bench.reference import flow as flow_of
 from bench.reference import motion_matrix
+from tests.draws import nightly_except
 from tests.motion.one_motion import CAMERA, SIZE, errors, interpreted, shared
 from tests.rendered import static_scene, two_blocks
 from tisfm.focal_guess import GuessedFocalWarning
@@ -18,7 +19,9 @@ from tisfm.rigid import pose_matrix
 from tisfm.scenes import STATIC_KINDS
 
 
-@pytest.fixture(scope="module", params=STATIC_KINDS)
+@pytest.fixture(
+    scope="module", params=nightly_except("sideways", "forward+rotation", of=STATIC_KINDS)
+)
 def scene(request):
     return static_scene(request.param, seed=11)
 
@@ -91,7 +94,7 @@ def test_noise_widens_the_deviation(small):
     [
         ("paper", "rigid"),
         ("fast", "translation"),
-        ("balanced", "translation"),
+        pytest.param("balanced", "translation", marks=pytest.mark.nightly),
         ("accurate", "rigid"),
     ],
 )
@@ -102,7 +105,7 @@ def test_every_preset_and_model(preset, model):
     assert depth_errors(found.depth, scene.depth, mask=scene.visible).abs_rel < limit
 
 
-@pytest.mark.parametrize("focal", [150.0, 600.0])
+@pytest.mark.parametrize("focal", nightly_except(600.0, of=[150.0, 600.0]))
 def test_focal_lengths(focal):
     scene = static_scene("forward+rotation", *SIZE, seed=1, focal=focal)
     result = interpreted(scene)

@@ -77,7 +77,7 @@ def without_proposals(monkeypatch, *frames, **options):
 AFAR = [[1.02, 0.1, 76], [0.01, 1.03, 10]]  # flow of 76 to 108 px
 
 
-@pytest.mark.parametrize("preset", nightly_except("fast", "balanced", of=PRESETS))
+@pytest.mark.parametrize("preset", nightly_except("balanced", of=PRESETS))
 def test_a_background_that_moves_by_100_px_is_found(preset):
     frame0, frame1, flow, stays = moved(AFAR)
     assert np.linalg.norm(flow, axis=-1).max() > 100

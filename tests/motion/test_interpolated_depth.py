@@ -31,9 +31,7 @@ def relative_errors(result, scene):
     return np.abs(scaled - scene.depth) / scene.depth
 
 
-@pytest.mark.parametrize(
-    "preset", nightly_except("fast", "balanced", of=["fast", "balanced", "accurate"])
-)
+@pytest.mark.parametrize("preset", nightly_except("balanced", of=["fast", "balanced", "accurate"]))
 def test_a_bare_room_with_its_pose(bare_room, preset):
     settings = tisfm.Settings.preset(preset, motion="camera")
     pose = pose_matrix(bare_room.motions[0])
@@ -55,6 +53,7 @@ def test_a_bare_room_without_a_pose(bare_room):
     assert np.median(flow) < 1
 
 
+@pytest.mark.nightly
 def test_a_bare_room_in_twelve_bits_of_sixteen(bare_room, with_pose):
     """The threshold of noise is in proportion to the range of the grey levels."""
     twelve = [frame.astype(np.uint16) * 16 for frame in (bare_room.frame0, bare_room.frame1)]
@@ -121,6 +120,7 @@ def test_depth_of_textured_scenes_is_not_interpolated(monkeypatch):
     assert interpreted(scene).status == "converged"
 
 
+@pytest.mark.nightly
 def test_too_few_matches_are_not_interpolated(bare_room, monkeypatch):
     import tisfm.motion.textureless_depth
 

@@ -9,6 +9,7 @@ import pytest
 import tisfm
 from bench.reference import flow as flow_of
 from bench.reference import motion_matrix
+from tests.draws import nightly_except
 from tests.motion.one_motion import FAST_OBJECTS as FAST
 from tests.motion.one_motion import OBJECTS, interpreted, shared
 from tests.rendered import static_scene, three_blocks, two_blocks
@@ -90,7 +91,7 @@ def test_the_background_comes_first(result, blocks):
     [
         pytest.param(7, OBJECTS, marks=pytest.mark.nightly),
         pytest.param(8, OBJECTS, marks=pytest.mark.nightly),
-        (9, FAST),
+        pytest.param(9, FAST, marks=pytest.mark.nightly),
     ],
 )
 def test_three_moving_blocks(seed, settings):
@@ -122,7 +123,7 @@ def test_one_motion_cannot_explain_it(blocks):
     assert depth_errors(camera.depth, blocks.depth, mask=on_blocks).abs_rel > 0.1
 
 
-@pytest.mark.parametrize("kind", ["sideways", "forward+rotation"])
+@pytest.mark.parametrize("kind", nightly_except("sideways", of=["sideways", "forward+rotation"]))
 def test_a_static_scene_has_one_label(kind):
     scene = static_scene(kind)
     result = interpreted(scene, OBJECTS)
@@ -162,13 +163,14 @@ def test_noise_and_a_small_picture(size, settings):
         assert overlap(result.labels == label, true == body) > 0.8
 
 
+@pytest.mark.nightly
 def test_same_bits_twice(tiny):
     one, again = shared(tiny, FAST), interpreted(tiny, FAST)
     np.testing.assert_array_equal(again.labels, one.labels)
     np.testing.assert_array_equal(again.inverse_depth, one.inverse_depth)
 
 
-@pytest.mark.parametrize("most", [1, 2])
+@pytest.mark.parametrize("most", nightly_except(2, of=[1, 2]))
 def test_most_objects_is_a_limit(most, tiny):
     result = interpreted(tiny, dataclasses.replace(FAST, max_objects=most))
     assert len(result.motions) == most < len(shared(tiny, FAST).motions)

@@ -38,6 +38,7 @@ def test_without_parallax(turn):
     check_depth_is_of_objects_alone(interpreted(scene, OBJECTS), scene)
 
 
+@pytest.mark.nightly
 def test_with_little_parallax():
     """Without the objects, the background gets rough depth and the status "uncertain"."""
     scene = moving(0.003, 0.3, size=(240, 320))

@@ -51,7 +51,7 @@ def test_a_background_that_moves_far(turn):
 @pytest.mark.parametrize(
     ("turn", "blocks"),
     [
-        (15, AT_REST),
+        pytest.param(15, AT_REST, marks=pytest.mark.nightly),
         (30, None),
         pytest.param(15, None, marks=pytest.mark.nightly),
         pytest.param(30, AT_REST, marks=pytest.mark.nightly),

@@ -7,6 +7,8 @@ import pytest
 
 import tisfm
 from bench import reference
+from tests.draws import nightly_except
+from tests.pairwise import pairwise
 from tests.rendered import static_scene
 from tisfm.metrics import depth_errors
 from tisfm.motion.settings import DEPTH
@@ -15,8 +17,6 @@ from tisfm.scenes import STATIC_KINDS, Box, Plane, Scene, Texture
 
 SIZES = [(5, 1), (1, 7), (7, 9), (24, 33)]
 TWIST = (0.9, 0.2, 0.4, 0.01, -0.02, 0.03)
-
-each_size = pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}x{s[1]}")
 
 
 def in_vectors(cost, lanes, filler):
@@ -34,9 +34,7 @@ def in_vectors(cost, lanes, filler):
 # --- Kernels ----------------------------------------------------------------------------------
 
 
-@each_size
-@pytest.mark.parametrize("lanes", [16, 8, 1])
-@pytest.mark.parametrize("count", [2, 8, 13])
+@pairwise(size=SIZES, lanes=[16, 8, 1], count=[2, 8, 13], short=True)
 def test_aggregate(size, lanes, count):
     from tisfm.kernels.rigid.semi_global import UNUSED_COST, aggregate
 
@@ -51,8 +49,7 @@ def test_aggregate(size, lanes, count):
     assert (plain[..., count:] > expected.max()).all()  # padding of the vectors never wins
 
 
-@each_size
-@pytest.mark.parametrize("count", [2, 5])
+@pairwise(size=SIZES, count=[2, 5], short=True)
 def test_cheapest(size, count):
     from tisfm.kernels.layout.lanes import aligned_zeros
     from tisfm.kernels.rigid.semi_global import best_hypothesis
@@ -72,8 +69,7 @@ def test_cheapest(size, count):
         best_hypothesis(cost, out, count=8)
 
 
-@each_size
-@pytest.mark.parametrize("lanes", [16, 8, 1])
+@pairwise(size=SIZES, lanes=[16, 8, 1], short=True)
 def test_matching_cost(size, lanes):
     from tisfm.kernels.layout.lanes import aligned_zeros
     from tisfm.kernels.rigid.plane_sweep import matching_cost
@@ -174,7 +170,7 @@ def poles():
     return Scene(objects=[wall, *boxes], camera=camera, height=240, width=320).render(samples=2)
 
 
-@pytest.mark.parametrize("preset", ["fast", "balanced"])
+@pytest.mark.parametrize("preset", nightly_except("balanced", of=["fast", "balanced"]))
 def test_objects_narrower_than_their_motion_are_found(poles, preset):
     settings = tisfm.Settings.preset(preset, motion="camera")
     pose = np.eye(4)

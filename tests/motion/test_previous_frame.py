@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import tisfm
+from tests.draws import nightly_except
 from tests.rendered import three_blocks, two_blocks
 from tisfm.metrics import endpoint_error_map
 
@@ -36,7 +37,7 @@ def both(frames, pair, settings):
     ("make", "preset"),
     [
         (two_blocks, "balanced"),
-        (three_blocks, "accurate"),
+        pytest.param(three_blocks, "accurate", marks=pytest.mark.nightly),
         pytest.param(two_blocks, "accurate", marks=pytest.mark.nightly),
         pytest.param(three_blocks, "balanced", marks=pytest.mark.nightly),
     ],
@@ -54,7 +55,7 @@ def test_pixels_hidden_in_the_next_frame_are_seen_in_the_previous_one(make, pres
     assert last.status == "converged"
 
 
-@pytest.mark.parametrize("change", [-1.0, 0.0, 3.0])
+@pytest.mark.parametrize("change", nightly_except(3.0, of=[-1.0, 0.0, 3.0]))
 def test_unsteady_motion_is_no_worse_than_a_pair(change):
     frames, pair = triple(two_blocks, height=120, width=160, speed_before=change * SPEED)
     last, alone = both(frames, pair, FAST)
@@ -92,7 +93,9 @@ def test_three_frames_with_a_mask_and_distortion():
     assert np.abs(last.flow - alone.flow)[:60].mean() < 0.3
 
 
-@pytest.mark.parametrize("preset", ["paper", "fast", "balanced", "accurate"])
+@pytest.mark.parametrize(
+    "preset", nightly_except("fast", "accurate", of=["paper", "fast", "balanced", "accurate"])
+)
 def test_every_preset_takes_three_frames_and_keeps_them(preset):
     frames, pair = triple(two_blocks, height=45, width=61, speed=1.0)
     copies = [frame.copy() for frame in frames]

@@ -43,7 +43,7 @@ def off(result, of):
     return error, pose_errors(pose_matrix(result.motions[0]), true).rotation
 
 
-@pytest.mark.parametrize("motion", nightly_except("turning", "forward", of=MOTIONS))
+@pytest.mark.parametrize("motion", nightly_except("turning", of=MOTIONS))
 def test_depth_and_motion_are_those_of_middle_rows(motion):
     depth, turn = zip(
         off(interpreted(film(motion, readout=0.0), 0.0), film(motion, readout=0.0)),
@@ -72,7 +72,7 @@ def test_no_readout_changes_nothing():
     np.testing.assert_array_equal(zero.frame, film().frames[0])
 
 
-@pytest.mark.parametrize("motion", ["field", "objects"])
+@pytest.mark.parametrize("motion", nightly_except("field", of=["field", "objects"]))
 def test_other_motions_ignore_the_readout_time(motion):
     settings = tisfm.Settings.preset("fast", motion=motion)
     plain, stated = (interpreted(film(), readout, settings) for readout in (None, READOUT))

@@ -44,7 +44,7 @@ def scene():
 @pytest.mark.parametrize(
     ("preset", "motion"),
     [
-        ("paper", "camera"),
+        pytest.param("paper", "camera", marks=pytest.mark.nightly),
         ("fast", "objects"),
         ("balanced", "field"),
         pytest.param("paper", "objects", marks=pytest.mark.nightly),
@@ -252,6 +252,7 @@ def test_a_pose_of_frames_far_apart_gives_depth(far):
     assert result.status == "unrelated"
 
 
+@pytest.mark.nightly
 def test_a_wrong_pose_of_frames_far_apart_is_reported(far):
     pose = pose_matrix(far.motions[0])
     off = pose_matrix([0, 0, 0, 0, 0, np.radians(3)]) @ pose
@@ -259,6 +260,7 @@ def test_a_wrong_pose_of_frames_far_apart_is_reported(far):
         assert interpreted(far, pose=wrong).status == "pose_mismatch"
 
 
+@pytest.mark.nightly
 def test_a_rotation_that_only_the_finer_flow_field_doubts():
     pair = room(480, 640)
     rotation, _ = rigid_motion(pair.motions[0])

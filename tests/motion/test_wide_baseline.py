@@ -59,13 +59,14 @@ def test_little_parallax_beside_a_large_turn_gives_rough_depth(degrees):
     assert depth_errors(result.depth, pair.depth, mask=seen).abs_rel < constant / 2
 
 
+@pytest.mark.nightly
 def test_the_same_answer_every_time(far):
     first, second = shared(far), interpreted(far)
     np.testing.assert_array_equal(first.flow, second.flow)
     np.testing.assert_array_equal(first.motions, second.motions)
 
 
-@pytest.mark.parametrize("kind", ["sideways", "forward+rotation"])
+@pytest.mark.parametrize("kind", nightly_except("sideways", of=["sideways", "forward+rotation"]))
 def test_ordinary_pairs_are_not_matched(kind, monkeypatch):
     def refused(*_):
         raise AssertionError("points were matched")
@@ -93,6 +94,7 @@ def test_a_large_turn_on_the_spot_is_a_rotation():
     assert errors(result, turned).rotation < 0.1
 
 
+@pytest.mark.nightly
 def test_a_plane_leaves_two_motions():
     paint = Texture(wavelength=0.06)
     wall = Plane(
@@ -107,6 +109,7 @@ def test_a_plane_leaves_two_motions():
     assert result.inverse_depth.all()
 
 
+@pytest.mark.nightly
 def test_a_room_far_apart():
     pair = room(*SIZE, camera_motion=(0.5, 0, 0.2, 0, 0.17, 0.02))
     found = errors(interpreted(pair), pair)

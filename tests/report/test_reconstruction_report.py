@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.draws import nightly_except
 from tests.report.made import EVIL, Read, assert_self_contained, reconstruction
 from tisfm.report import REPORT, is_report, write_reconstruction_report
 from tisfm.status import Status
@@ -71,11 +72,12 @@ def test_a_second_report_is_the_same(tmp_path):
     assert write_reconstruction_report(result, tmp_path).read_bytes() == first
 
 
-def test_long_sequences_and_large_frames_stay_small(tmp_path):
+@pytest.mark.parametrize("shape", nightly_except((75, 100), of=[(75, 100), (300, 400)]))
+def test_long_sequences_and_large_frames_stay_small(tmp_path, shape):
     """Noise is what takes most bytes."""
     statuses = [Status("converged")] * 90
     statuses[77] = Status("uncertain", "give it more parallax")
-    result = reconstruction(tmp_path / "r", pieces=[0] * 90, shape=(300, 400), statuses=statuses)
+    result = reconstruction(tmp_path / "r", pieces=[0] * 90, shape=shape, statuses=statuses)
     path = write_reconstruction_report(result, tmp_path)
     assert path.stat().st_size < 20_000_000
     page = Read(path)

@@ -32,7 +32,11 @@ def test_starting_again_with_the_same_arguments_changes_nothing():
 
 
 @pytest.mark.parametrize(
-    "before", ["runtime.start(threads=1)", "ti.init(ti.cpu, cpu_max_num_threads=1)"]
+    "before",
+    nightly_except(
+        "runtime.start(threads=1)",
+        of=["runtime.start(threads=1)", "ti.init(ti.cpu, cpu_max_num_threads=1)"],
+    ),
 )
 @pytest.mark.skipif(os.cpu_count() == 1, reason="there is one core, so one thread for any number")
 def test_another_number_of_threads_is_refused_with_advice(before):
@@ -112,7 +116,9 @@ print(min(work[thread] for thread in bound) > max(work[thread] for thread in fre
 
 
 @needs_cores
-@pytest.mark.parametrize("options", ["threads=1", "bind_threads=False"])
+@pytest.mark.parametrize(
+    "options", nightly_except("bind_threads=False", of=["threads=1", "bind_threads=False"])
+)
 def test_threads_stay_free(options):
     assert answer(BOUND.format(options=options) + "print(alone)") == "[]"
 
@@ -157,6 +163,7 @@ threading.Thread(target=afterwards).start()
 """
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("before", nightly_except("", of=["", "interpret()"]))
 def test_an_interpretation_may_outlive_the_main_thread(before):
     """It has no second thread then; the bits are the same, and with two threads of Taichi."""

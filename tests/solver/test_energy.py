@@ -14,7 +14,7 @@ from tisfm.solver.image_pyramid import gaussian_pyramid, level_count, smooth
 
 @pytest.fixture(scope="module")
 def blocks():
-    return two_blocks(90, 122, seed=1)
+    return two_blocks(60, 82, seed=1)
 
 
 def solve(frame0, frame1, settings, camera):

@@ -5,6 +5,7 @@ import pytest
 
 import tisfm
 from bench import reference
+from tests.draws import nightly_except
 from tests.lanes import LANES
 from tests.pairwise import pairwise
 from tests.rendered import two_blocks
@@ -14,7 +15,6 @@ ALPHA = 40.0
 MODELS = [6, 3, 2, 1]
 
 each_size = pytest.mark.parametrize("size", SIZES, ids=lambda s: f"{s[0]}x{s[1]}")
-each_model = pytest.mark.parametrize("components", MODELS)
 each_lanes = pytest.mark.parametrize("lanes", LANES)
 of_each = pairwise(size=SIZES, components=MODELS, lanes=LANES, short=True)
 
@@ -185,8 +185,7 @@ def test_descent_in_a_plane(size, components, lanes, make):
     np.testing.assert_array_equal(rho, problem.to_lanes(problem.from_lanes(rho)))
 
 
-@each_model
-@each_lanes
+@pairwise(components=MODELS, lanes=LANES, short=True)
 def test_a_line_search_leaves_the_least_energy_of_the_plane(components, lanes, make):
     problem = make(13, 37, components, lanes)
     weights = weights_of(problem)
@@ -286,7 +285,7 @@ def test_cycles_reach_the_solution(size, components, lanes, step, make):
     assert max(gaps[-10:]) <= 2 * gaps[-11] + 100 * rounding
 
 
-@each_model
+@pytest.mark.parametrize("components", nightly_except(6, 1, of=MODELS))
 def test_lanes_agree(components, make):
     results = []
     for lanes in (8, 1):

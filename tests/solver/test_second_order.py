@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from bench import reference
+from tests.draws import nightly_except
 from tests.lanes import LANES
 from tests.pairwise import pairwise
 
@@ -229,7 +230,11 @@ def bare_system(solver, lanes, known, g=None):
     return multigrid, distance
 
 
-@pytest.mark.parametrize("everywhere_else", [True, False], ids=["around", "at its border only"])
+@pytest.mark.parametrize(
+    "everywhere_else",
+    nightly_except(False, of=[True, False]),
+    ids=["around", "at its border only"],
+)
 def test_cycles_cross_a_bare_region(everywhere_else, solver):
     """Each brings the error to less than 0.3 of what it was."""
     column = np.broadcast_to(np.arange(640), (480, 640))

@@ -87,6 +87,7 @@ def set_number(tab, label, value):
     field.blur()
 
 
+@pytest.mark.nightly  # test_foreign.py opens a page
 def test_the_scene_is_shown_without_other_hosts(look, tmp_path):
     write_reconstruction(tmp_path / "r")
     _, tab = look(tmp_path / "r")

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from urllib.parse import urlsplit
 
 import pytest
 
@@ -75,7 +76,8 @@ def test_a_status_with_markup_is_refused(opened, tmp_path):
 
 def test_the_page_runs_no_script_of_a_folder(opened, tab, tmp_path):
     page = opened(evil_folder(tmp_path / "<img src=x onerror=window.hacked=6>"))
-    shown = tab.get_by_test_id("status")
+    shown, asked = tab.get_by_test_id("status"), []
+    tab.on("request", lambda request: asked.append(request.url))
     tab.goto(page.url)
     shown.wait_for()
     text = shown.inner_text()
@@ -85,6 +87,8 @@ def test_the_page_runs_no_script_of_a_folder(opened, tab, tmp_path):
     tab.wait_for_function("document.body.innerText.includes('is not complete')")
     assert "3 of 4" in shown.inner_text()
     assert hacked(tab) is None
+    hosts = {urlsplit(url).hostname for url in asked if url.startswith(("http", "ws"))}
+    assert hosts == {"127.0.0.1"}
 
 
 @pytest.mark.parametrize("kind", nightly_except("report", of=("static", "report")))

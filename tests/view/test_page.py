@@ -171,6 +171,7 @@ def test_a_growing_run_grows_in_the_page(opened, tmp_path):
     assert page.controls.frame.value == 1
 
 
+@pytest.mark.nightly
 def test_a_frame_is_not_drawn_again_when_later_frames_appear(opened, tmp_path):
     shot = write_run(tmp_path / "r", 4, with_poses=True)
     write_record_of(tmp_path / "r", shot, [0, 1], "camera", with_poses=True)
@@ -209,6 +210,7 @@ def test_earlier_pairs_do_not_change_the_shown_pair(opened, tmp_path, monkeypatc
     assert drawn and page.frame.number == 1
 
 
+@pytest.mark.nightly
 def test_a_frame_moves_where_its_pose_changes(opened, tmp_path):
     shot = write_run(tmp_path / "r", 4, with_poses=True)
     write_record_of(tmp_path / "r", shot, [0, 2, 3], "camera", with_poses=True)

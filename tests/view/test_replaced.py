@@ -81,6 +81,7 @@ def test_a_replaced_result_of_the_same_kind_keeps_its_controls(opened, tmp_path)
     assert len(page.scene.frusta) > 1 and len(page.box._handles) == 2
 
 
+@pytest.mark.nightly
 def test_ranges_follow_a_run_that_grows(opened, tmp_path):
     shot = write_run(tmp_path / "r", 6)
     for k in range(1, 6):  # the first pair moves little

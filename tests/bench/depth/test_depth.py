@@ -362,6 +362,7 @@ def test_smoke_of_the_comparison(tmp_path, monkeypatch, capsys):
     assert sys.prefix not in text
 
 
+@pytest.mark.nightly
 def test_without_the_peers_interpreter_own_rows_are_left_and_one_line_says_why(
     tmp_path, monkeypatch, capsys
 ):

@@ -88,6 +88,13 @@ def test_the_man_and_the_cyclist_are_counted_where_they_are():
     assert statue.table(found).rows == [["a", "384", "3", "2", "1", "1", "3.0", "1.00"]]
 
 
+def test_an_unknown_name_is_refused(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(objects, "RESULTS", tmp_path)
+    assert objects.main(["--smoke", "--only", "nothing", "--threads", THREADS]) == 2
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.nightly
 def test_smoke(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(objects, "RESULTS", tmp_path)
     options = ["--smoke", "--preset", "fast", "--threads", THREADS, "--pairs", "two"]

@@ -143,6 +143,7 @@ def test_the_same_checkout_gives_the_same_bits(tmp_path, monkeypatch):
     assert "1 cases; in 1 every array is the same in every bit" in text
 
 
+@pytest.mark.nightly
 def test_an_altered_checkout_is_found_out(tmp_path, monkeypatch):
     other = tmp_path / "other"
     for name in ("tisfm", "kernels"):

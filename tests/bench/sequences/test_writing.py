@@ -26,6 +26,7 @@ def test_bars(seconds, met):
     assert [bar.is_met for bar in writing.bars(outcome((1.0, *seconds)))] == met
 
 
+@pytest.mark.nightly
 def test_smoke(capsys):
     assert writing.main(["--smoke", "--preset", "fast"]) == 0
     assert "| 3 | 1 |" in capsys.readouterr().out
