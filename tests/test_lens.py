@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import tisfm
+from tests.draws import nightly_except
+from tests.pairwise import pairwise
 from tests.rendered import static_scene
 from tisfm.camera import Camera
 from tisfm.evaluation.pairs import evaluate
@@ -137,8 +139,7 @@ def test_focal_lengths_that_are_refused(options, error, words):
         Camera(**options)
 
 
-@pytest.mark.parametrize("focal", [(200.0, 250.0), (250.0, 200.0)])
-@pytest.mark.parametrize("distortion", [None, BARREL])
+@pairwise(focal=[(200.0, 250.0), (250.0, 200.0)], distortion=[None, BARREL], short=True)
 def test_oblong_pixels_are_resampled(scene, focal, distortion):
     """The frame that a camera with oblong pixels takes gives back that of square ones."""
     height, width = scene.frame0.shape
@@ -342,7 +343,7 @@ def test_frames_that_are_refused():
 # Interpretations
 
 
-@pytest.mark.parametrize("distortion", [BARREL, PINCUSHION])
+@pytest.mark.parametrize("distortion", nightly_except(BARREL, of=[BARREL, PINCUSHION]))
 def test_flow_is_that_of_the_pinhole_image(scene, distortion):
     camera = Camera(scene.camera.focal, (116.0, 92.5), distortion)
     frames = [distorted(frame, camera) for frame in (scene.frame0, scene.frame1)]

@@ -7,8 +7,6 @@ import matplotlib
 import matplotlib.pyplot as plt
 import pytest
 
-from tests.draws import nightly_except
-
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "docs" / "notebooks").glob("*.ipynb"))
 
 
@@ -33,10 +31,8 @@ def test_there_are_two():
     assert [path.stem for path in NOTEBOOKS] == ["pair", "sequence"]
 
 
-SHORT = [path for path in NOTEBOOKS if path.stem == "pair"]
-
-
-@pytest.mark.parametrize("path", nightly_except(*SHORT, of=NOTEBOOKS), ids=lambda path: path.stem)
+@pytest.mark.nightly  # .ci/run builds the documentation, which runs them too
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_it_runs(path, tmp_path, monkeypatch, no_window):
     monkeypatch.chdir(tmp_path)
     names = {}

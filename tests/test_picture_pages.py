@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from tests.draws import nightly_except
-
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = ("gallery", "settings_pictures", "failures")
 CELL = re.compile(r"^```\{code-cell\} python\n((?::[^\n]*\n)*)(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -51,7 +49,22 @@ def no_window():
     plt.switch_backend(before)
 
 
-@pytest.mark.parametrize("page", nightly_except("gallery", of=PAGES))
+def test_first_claims_of_the_gallery_hold(no_window, tmp_path, monkeypatch):
+    """Those of pairs; the film of the gallery, and the other pages, take long."""
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    for number, code in enumerate(cells("gallery")):
+        if "room_film(" in code:
+            break
+        for figure in shown(code, f"gallery.md, cell {number}", names):
+            check_drawn(figure)
+        plt.close("all")
+    flow_and_depth_are_near_the_truth(names)
+    the_motion_explains_the_frames(names)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("page", PAGES)
 def test_claims_of_the_page_hold(page, no_window, tmp_path, monkeypatch):
     """Its cells draw figures, and what the page claims holds."""
     monkeypatch.chdir(tmp_path)

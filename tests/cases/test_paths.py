@@ -150,6 +150,7 @@ def test_room_gives_an_exact_path():
     assert found.calibration.readout == 0
 
 
+@pytest.mark.nightly
 def test_guessed_focal_length_is_not_treated_as_known():
     with pytest.warns(tisfm.focal_guess.GuessedFocalWarning):
         found = tisfm.reconstruct(

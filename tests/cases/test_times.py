@@ -70,13 +70,13 @@ def test_result_is_complete(tisfm_run, tmp_path, film):  # noqa: F811
 
 
 def test_chunks_print_the_note_before_their_work(tisfm_run, tmp_path):  # noqa: F811
-    path = doubled(tmp_path / "doubled.ts")
+    path = repeated(tmp_path / "a.mkv")
     code, _, err = tisfm_run("reconstruct", str(path), "-o", "out", "--preset", "fast", "--chunk",
                              "20", "--depth-of", "none", "--focal", str(FOCAL))  # fmt: skip
     assert code == 0, err
     (note,) = noted(err)
     result = tisfm.Reconstruction.load("out")
-    assert result.notes == (note,) and len(result) == 2 * COUNT
+    assert result.notes == (note,) and len(result) == COUNT
     assert (
         read_tum("out/trajectory.txt").times.tolist() == np.flatnonzero(result.piece == 0).tolist()
     )

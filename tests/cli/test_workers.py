@@ -78,11 +78,12 @@ def test_workers_take_steps_and_masks(quick_workers, tisfm_run, film, work_folde
     }
 
 
-def test_workers_skip_damaged_frames(quick_workers, tisfm_run, film):
+@pytest.mark.parametrize("options", nightly_except(QUIET, of=[QUIET, ("--figures", "3")]))
+def test_workers_skip_damaged_frames(quick_workers, tisfm_run, film, options):
     for name in ("f00", "f05", "f06"):
         data = Path(f"film/{name}.png").read_bytes()
         Path(f"film/{name}.png").write_bytes(data[: len(data) // 2])
-    found = assert_same_as_one_process(tisfm_run, "--bad-frames", "skip", "--figures", "3")
+    found = assert_same_as_one_process(tisfm_run, "--bad-frames", "skip", *options)
     assert "f04.npz" in found and "f05.npz" not in found
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import tisfm
+from tests.draws import nightly_except
 from tests.evaluation.evaluated import (
     FAST,
     FILES,
@@ -128,7 +129,10 @@ def test_names_stay_within_the_folder(data, tmp_path):
     assert not {path.name for path in tmp_path.iterdir()} - {"data", "out"}
 
 
-@pytest.mark.parametrize("step", ["interpret", "write_flo", "save_figure", "rename"])
+@pytest.mark.parametrize(
+    "step",
+    nightly_except("write_flo", "rename", of=["interpret", "write_flo", "save_figure", "rename"]),
+)
 def test_files_of_an_interrupted_evaluation_are_whole(data, tmp_path, monkeypatch, step):
     """Ctrl-C at the second pair: the record holds the first, and every file there is whole."""
     evaluate_to(tmp_path / "whole", data / "mid")

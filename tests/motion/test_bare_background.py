@@ -110,6 +110,7 @@ def test_deviation_and_confidence_of_interpolated_depth(scene, carried, preset):
     assert wrong[confident].mean() < wrong.mean()
 
 
+@pytest.mark.nightly
 def test_depth_of_textured_scenes_is_not_interpolated(monkeypatch):
     def never(*_, **__):
         raise AssertionError("depth is interpolated")

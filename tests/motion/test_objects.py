@@ -146,6 +146,7 @@ def test_a_camera_at_rest():
         assert depth_errors(result.depth, scene.depth, mask=both).abs_rel < 0.03
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("size", "settings"),
     [(SIZE, FAST), pytest.param((180, 240), OBJECTS, marks=pytest.mark.nightly)],

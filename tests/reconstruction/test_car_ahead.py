@@ -9,7 +9,7 @@ import tisfm
 from tisfm.reconstruction.objects.sequence_labels import SequenceLabels
 from tisfm.scenes import Box, Plane, Scene, Texture
 
-HEIGHT, WIDTH, FRAMES = 160, 400, 10
+HEIGHT, WIDTH, FRAMES = 160, 400, 8
 CAMERA = tisfm.Camera(focal=300.0)
 OURS = 0.64  # m a frame, the camera moves straight ahead; the road is 1.6 m below
 CAR, PARKED = 4, 5  # indices of the objects

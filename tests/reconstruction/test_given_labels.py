@@ -154,7 +154,10 @@ def iou(one, two):
     return (one & two).sum() / max(1, (one | two).sum())
 
 
-@pytest.mark.parametrize(("known", "least"), [((0, CARRIED[0] - 1), 0.85), ((2,), 0.65)])
+@pytest.mark.parametrize(
+    ("known", "least"),
+    [((0, CARRIED[0] - 1), 0.85), pytest.param((2,), 0.65, marks=pytest.mark.nightly)],
+)
 def test_labels_are_propagated_to_other_frames(known, least):
     """From a single labelled frame, an occluder may also take the pixels that it uncovers."""
     result = reconstructed(*CARRIED, labels={k: labels(*CARRIED)[k] for k in known})
@@ -241,6 +244,7 @@ def test_labels_of_a_result_are_not_undistorted_twice(tmp_path):
             reconstructed(labels=first.folder, **options)
 
 
+@pytest.mark.nightly
 def test_object_visible_only_in_another_piece_has_no_path():
     frames = [*film(10).frames, *(255 - film().frames[:, :, ::-1])]
     last = np.where(labels()[:, :, ::-1] > 0, 7, 0)

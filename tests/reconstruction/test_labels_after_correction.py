@@ -137,6 +137,7 @@ def test_path_begins_again_with_corrected_frames(tmp_path, is_given):
         np.testing.assert_array_equal(frames.labels(0), moved)
 
 
+@pytest.mark.nightly
 def test_lens_is_estimated_beside_moving_objects():
     scene = film()
     with warnings.catch_warnings():
@@ -156,6 +157,7 @@ def test_lens_is_estimated_beside_moving_objects():
     assert (found == true).mean() > 0.995
 
 
+@pytest.mark.nightly
 def test_shutter_is_corrected_beside_moving_objects():
     scene = small_film()
     errors = []
@@ -173,6 +175,7 @@ def test_shutter_is_corrected_beside_moving_objects():
     assert result.camera.readout == 0 and result.calibration.readout == 0
 
 
+@pytest.mark.nightly
 def test_objects_found_with_a_rolling_shutter_are_those_of_middle_rows():
     scene = small_film()
     result = tisfm.reconstruct(

@@ -83,9 +83,8 @@ def going_and_turning():
     return poses
 
 
-@pytest.mark.parametrize(
-    ("textured", "most"), [(True, 0.02), pytest.param(False, 0.2, marks=pytest.mark.nightly)]
-)
+@pytest.mark.nightly  # the tests above delete points of single models
+@pytest.mark.parametrize(("textured", "most"), [(True, 0.02), (False, 0.2)])
 def test_rotation_on_the_spot_keeps_the_scale(textured, most):
     film = room_film(going_and_turning(), 180, 240, samples=1, textured=textured)
     (piece,) = find_path(((frame, None, None) for frame in film.frames), film.camera).pieces

@@ -50,6 +50,7 @@ def test_known_size_gives_the_scale(tmp_path):
     assert tisfm.Reconstruction.load(tmp_path / "saved").objects[0].scale_from == "size"
 
 
+@pytest.mark.nightly
 def test_doubled_size_doubles_the_distance():
     once, twice = sized(LENGTH), sized(2 * LENGTH)
     one, two = once.objects[0], twice.objects[0]
@@ -66,7 +67,12 @@ def test_doubled_size_doubles_the_distance():
 
 
 @pytest.mark.parametrize(
-    ("turn", "faces"), [((0, 0, 0), 1), ((0.3, 0.5, -0.2), 3), ((1.0, 0.2, 0.7), 1)]
+    ("turn", "faces"),
+    [
+        ((0.3, 0.5, -0.2), 3),
+        pytest.param((0, 0, 0), 1, marks=pytest.mark.nightly),
+        pytest.param((1.0, 0.2, 0.7), 1, marks=pytest.mark.nightly),
+    ],
 )
 def test_longest_side_is_that_of_a_turned_box(turn, faces):
     """Three faces or one face of a box of 4.5 × 1.8 × 1.5 are visible."""

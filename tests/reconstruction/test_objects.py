@@ -170,9 +170,14 @@ def test_masked_pixels_have_no_object():
 
 @pytest.mark.parametrize(
     ("kind", "shape"),
-    [("constant", (48, 64)), ("noise", (48, 64)), ("two frames", (61, 83)), ("cut", (48, 64)),
-     ("moving stripes", (61, 83))],
-)  # fmt: skip
+    [
+        ("constant", (48, 64)),
+        ("cut", (48, 64)),
+        pytest.param("noise", (48, 64), marks=pytest.mark.nightly),
+        pytest.param("two frames", (61, 83), marks=pytest.mark.nightly),
+        pytest.param("moving stripes", (61, 83), marks=pytest.mark.nightly),
+    ],
+)
 def test_frames_without_a_path_have_valid_labels(kind, shape):
     random = np.random.default_rng(3)
     count = 2 if kind == "two frames" else 6

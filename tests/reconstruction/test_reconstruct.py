@@ -141,6 +141,7 @@ def test_path_without_depth(path, found):
     assert moved == pytest.approx(moved_before, rel=0.5)  # units: one of tracks, one of all pixels
 
 
+@pytest.mark.nightly
 def test_unit_without_any_depth_is_that_of_tracks(film, path, monkeypatch):
     monkeypatch.setattr(PieceDepths, "__iter__", lambda self: iter(()))
     blind = tisfm.reconstruct(film.frames, camera=film.camera, settings=FAST)
@@ -287,6 +288,7 @@ def test_points_lie_in_the_world(found, film):
     assert len(found.points([0], max_relative_std=0.01)) < len(one)
 
 
+@pytest.mark.nightly
 def test_mesh_of_all_frames(found, tmp_path):
     pytest.importorskip("skimage")
     mesh = found.mesh(range(len(found)))
@@ -322,6 +324,7 @@ def test_masked_pixels_are_left_out(film):
         np.testing.assert_array_equal(other.depth(key), found.depth(key))
 
 
+@pytest.mark.nightly
 def test_cover_is_in_no_point_cloud(film):
     seen = np.ones(film.frames[0].shape, bool)
     seen[:, 100:140] = False

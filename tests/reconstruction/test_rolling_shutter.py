@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import tisfm
+from tests.draws import nightly_except
 from tests.one_thread import bits_on_one_thread, several_threads
 from tests.reconstruction.films import path_error
 from tests.rendered import room_film
@@ -110,6 +111,7 @@ def test_given_poses_are_those_of_middle_rows():
     assert errors[1] < 0.7 * errors[0]
 
 
+@pytest.mark.nightly
 def test_readout_of_cropped_frames_is_that_of_whole_frames(tmp_path):
     result = reconstructed(None, film().frames, crop=(0, 6, 160, 108), folder=tmp_path / "cropped")
     assert abs(result.calibration.readout - READOUT) < 0.1
@@ -165,7 +167,8 @@ def streamed(readout):
         return list(stream), files
 
 
-def test_stream_corrects_a_readout():
+@pytest.mark.parametrize("readout", nightly_except(None, of=[READOUT, None]))
+def test_stream_corrects_a_readout(readout):
     ignored, _ = streamed(0.0)
     straight = film(readout=0.0).frames
     inside = np.s_[12:-12, 12:-12]
@@ -178,22 +181,22 @@ def test_stream_corrects_a_readout():
         depth = depth_error(range(COUNT), [frame.inverse_depth for frame in found])
         return path_error(poses, shaken()), depth, np.mean(changes)
 
-    for readout in (READOUT, None):
-        found, _ = streamed(readout)
-        assert [frame.index for frame in found] == list(range(COUNT))
-        assert all(frame.piece == 0 for frame in found)
-        assert all(frame.camera.readout == 0 for frame in found)  # undone in the frames
-        (about,) = {frame.calibration for frame in found}
-        if readout is None:
-            assert abs(about.readout - READOUT) < 3 * about.readout_std < 0.4
-        else:
-            assert about.readout == 0  # a given readout is not estimated
-        shares = np.divide(errors(found), errors(ignored))
-        # Of the path, of depth and of pictures; measured: 0.24, 0.47 and 0.82. Most of the
-        # remaining difference of pictures is noise, aliasing and JPEG.
-        assert (shares < (0.3, 0.6, 0.9)).all()
+    found, _ = streamed(readout)
+    assert [frame.index for frame in found] == list(range(COUNT))
+    assert all(frame.piece == 0 for frame in found)
+    assert all(frame.camera.readout == 0 for frame in found)  # undone in the frames
+    (about,) = {frame.calibration for frame in found}
+    if readout is None:
+        assert abs(about.readout - READOUT) < 3 * about.readout_std < 0.4
+    else:
+        assert about.readout == 0  # a given readout is not estimated
+    shares = np.divide(errors(found), errors(ignored))
+    # Of the path, of depth and of pictures; measured: 0.24, 0.47 and 0.82. Most of the
+    # remaining difference of pictures is noise, aliasing and JPEG.
+    assert (shares < (0.3, 0.6, 0.9)).all()
 
 
+@pytest.mark.nightly
 def test_stream_of_a_global_shutter_changes_nothing():
     found, given = (
         tisfm.reconstruct_stream(
@@ -208,7 +211,7 @@ def test_stream_of_a_global_shutter_changes_nothing():
 
 
 def test_stream_deletes_frames_as_read_with_their_final_pose():
-    _, files = streamed(READOUT)
+    _, files = streamed(None)
     assert len(files) > 1 and files[0][1]
     for settled, as_read, names in files:
         assert all(frame > settled for frame in as_read)

@@ -48,7 +48,7 @@ def arc(count=10, size=SIZE, focal=None):
 @cache
 def straight():
     """Return a film of a camera that moves sideways without turning."""
-    return room_film(along(10, (0.12, 0, 0, 0, 0, 0)), *SIZE, samples=2)
+    return room_film(along(8, (0.12, 0, 0, 0, 0, 0)), *SIZE, samples=1)
 
 
 @cache
@@ -137,6 +137,7 @@ def test_same_focal_length_every_time(found):
     assert again.calibration == found.calibration
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("times", nightly_except(2.0, of=[0.5, 2.0]))
 def test_given_focal_length_may_be_a_guess(times):
     film = arc()
@@ -145,6 +146,7 @@ def test_given_focal_length_may_be_a_guess(times):
     assert result.camera.focal == pytest.approx(film.camera.focal, rel=0.03)
 
 
+@pytest.mark.nightly
 def test_printed_focal_length_can_be_copied_back(tmp_path, capsys):
     """It refers to the frames of the source, also if frames are shrunk."""
     film, command = arc(), ["reconstruct", str(tmp_path / "film"), "--preset", "fast"]
@@ -290,6 +292,7 @@ def test_warning_of_a_guess_comes_before_depth():
     assert set(stages) == {"reading", "path"}
 
 
+@pytest.mark.nightly
 def test_rotation_alone_gives_no_path():
     turning = room_film(along(6, (0, 0, 0, 0, 0.03, 0)), *SIZE, samples=1)
     with pytest.warns(GuessedFocalWarning):
@@ -360,6 +363,7 @@ def test_distorting_lens_gives_a_warning(radial):
     assert abs(result.camera.focal - 144) < 3 * result.calibration.focal_std
 
 
+@pytest.mark.nightly
 def test_lens_without_distortion_has_coefficient_zero():
     result = path_of(arc(), calibrate="radial")
     assert abs(result.calibration.radial) < 3 * result.calibration.radial_std + 0.01

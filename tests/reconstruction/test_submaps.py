@@ -109,11 +109,13 @@ def test_poses_of_overlapping_submaps_are_blended():
     np.testing.assert_allclose([found[view][0, 3] for view in range(10)], expected, atol=1e-12)
 
 
+@pytest.mark.nightly
 def test_two_scenes_are_two_pieces():
     pieces = path_in_submaps([*walk().frames, *mirrored(walk(seed=5))]).pieces
     assert [list(piece.poses) for piece in pieces] == [list(range(9)), list(range(9, 18))]
 
 
+@pytest.mark.nightly
 def test_submap_without_a_model_continues_the_next():
     """In the first 6 frames the camera only turns."""
     turning = [pose_matrix((0, 0, 0, 0, 0.024 * k - 0.144, 0)) for k in range(6)]

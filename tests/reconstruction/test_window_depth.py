@@ -120,6 +120,7 @@ def test_arguments_are_left_alone_and_bits_stay():
         np.testing.assert_array_equal(frame, copy)
 
 
+@pytest.mark.nightly
 @several_threads
 def test_same_bits_with_one_thread_and_with_all():
     assert bits_on_one_thread(__name__) == bits()

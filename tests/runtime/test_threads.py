@@ -173,7 +173,7 @@ def test_an_interpretation_may_outlive_the_main_thread(before):
 @pytest.mark.parametrize(
     ("motion", "turns"),
     [
-        ("objects", 1),
+        ("camera", 1),
         *(pytest.param(m, 4, marks=pytest.mark.nightly) for m in ("field", "camera", "objects")),
     ],
 )

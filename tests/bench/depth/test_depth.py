@@ -362,6 +362,13 @@ def test_smoke_of_the_comparison(tmp_path, monkeypatch, capsys):
     assert sys.prefix not in text
 
 
+def test_a_method_without_a_name_is_refused(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(depth, "RESULTS", tmp_path)
+    options = ["--smoke", "--threads", THREADS, "--pairs", "forward-f320", "--methods", "nothing"]
+    assert depth.main([*options, "--peer-python", "no-such-python"]) == 2
+    assert "no method has nothing in its name" in capsys.readouterr().err
+
+
 @pytest.mark.nightly
 def test_without_the_peers_interpreter_own_rows_are_left_and_one_line_says_why(
     tmp_path, monkeypatch, capsys
