@@ -177,7 +177,7 @@ def test_poses_of_yielded_frames_stay(monkeypatch):
     piece = solution.pieces[0]
     for frame in range(8):
         np.testing.assert_array_equal(piece.poses[frame], before.poses[frame])
-    assert sorted(piece.poses) == list(range(14)) and not solution.lost
+    assert sorted(piece.poses) == list(range(14)) and not solution.missing
 
 
 def test_memory_disk_and_masks(disk, monkeypatch):
