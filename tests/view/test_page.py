@@ -299,7 +299,7 @@ def test_two_clicks_measure(opened, tmp_path):
         page.thread.put(lambda ray=ray: page.pick(np.zeros(3), ray))
     expected = float(np.linalg.norm(places[0] - places[1]))
     wait_for(lambda: f"distance {expected:.4g}" in page.controls.distance.content)
-    page.thread.put(page.marks.clear_measured)
+    page.thread.put(page.marks.clear_measured_points)
     wait_for(lambda: "two points" in page.controls.distance.content)
     assert not page.marks.measured_points
 
