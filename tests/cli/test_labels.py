@@ -75,6 +75,7 @@ def test_wrong_labels_are_refused(tisfm_run, clip):
     refused("--labels", "things", words="(119, 160), but the size of frame f0 is (120, 160)")
 
 
+@pytest.mark.nightly
 def test_the_size_of_an_object_gives_its_scale(tisfm_run, work_folder):
     longer = bodies_film(bodies_path(12), 180, 240)
     for name in ("film", "things"):

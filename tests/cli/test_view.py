@@ -86,6 +86,7 @@ def test_a_growing_run_is_served_until_ctrl_c(work_folder):
     assert process.returncode == 0 and out == "" and err == ""
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(os.name == "nt", reason="Windows interrupts processes otherwise")
 def test_waiting_for_a_run_ends_with_the_run(work_folder):
     (work_folder / "r").mkdir()

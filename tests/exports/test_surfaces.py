@@ -7,9 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-import tisfm
 from tests.exports.made import made
-from tests.reconstruction.films import walk
 from tests.trajectory.paths import PATIENT
 from tisfm.exports import write_meshes, write_points
 from tisfm.exports.surfaces import save_points
@@ -72,18 +70,13 @@ def test_values_that_files_cannot_hold_are_refused(tmp_path, name, count):
     assert not list(tmp_path.iterdir())
 
 
-def test_points_and_surface_of_a_film(tmp_path):
-    film = walk()
-    result = tisfm.reconstruct(
-        list(film.frames), camera=film.camera,
-        settings=tisfm.Settings.preset("fast", motion="camera"),
-    )  # fmt: skip
-    ply, glb = (write_points(result, tmp_path, suffix=suffix)[0] for suffix in ("ply", "glb"))
+def test_points_and_surface_of_a_film(found, tmp_path):
+    ply, glb = (write_points(found, tmp_path, suffix=suffix)[0] for suffix in ("ply", "glb"))
     one, other = trimesh.load(ply).vertices, trimesh.load(glb).geometry.popitem()[1].vertices
     assert len(one) > 5000
     np.testing.assert_array_equal(one * np.float32([1, -1, -1]), other)
     pytest.importorskip("skimage")
-    ply, glb = (write_meshes(result, tmp_path, suffix=suffix)[0] for suffix in ("ply", "glb"))
+    ply, glb = (write_meshes(found, tmp_path, suffix=suffix)[0] for suffix in ("ply", "glb"))
     one, other = trimesh.load(ply), trimesh.load(glb, force="mesh")
     assert len(one.faces) > 1000
     np.testing.assert_allclose(one.bounds[:, 0], other.bounds[:, 0], rtol=1e-6)

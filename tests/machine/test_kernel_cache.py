@@ -46,6 +46,7 @@ def leave(path, age):
     os.utime(path, (time.time() - age,) * 2)
 
 
+@pytest.mark.nightly
 def test_a_stale_lock_is_removed_and_kernels_are_kept(cache):
     """Left there, Taichi would complain, and neither read nor write."""
     leave(cache / "ticache.lock", age=600)

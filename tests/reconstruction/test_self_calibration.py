@@ -300,16 +300,25 @@ def test_rotation_alone_gives_no_path():
     assert (result.piece == -1).all()
 
 
-def test_focal_length_of_exif_is_better_than_an_uncertain_estimate(tmp_path):
-    film = straight()
+def with_exif(folder):
+    """Write the straight film with a focal length in EXIF; return that focal length in px."""
     exif = Image.Exif()
     exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = 26
-    for k, frame in enumerate(film.frames):
-        Image.fromarray(frame).save(tmp_path / f"{k:02d}.jpg", quality=98, exif=exif)
+    for k, frame in enumerate(straight().frames):
+        Image.fromarray(frame).save(folder / f"{k:02d}.jpg", quality=98, exif=exif)
+    return pytest.approx(26 / np.hypot(36, 24) * np.hypot(*SIZE))
+
+
+def test_focal_length_of_exif_is_better_than_an_uncertain_estimate(tmp_path):
+    stated = with_exif(tmp_path)
     with pytest.warns(GuessedFocalWarning, match="26 mm"):
         result = tisfm.reconstruct(tmp_path, settings=FAST, depth_of="none")
-    stated = pytest.approx(26 / np.hypot(36, 24) * np.hypot(*SIZE))
     assert result.calibration.origin == "guessed" and result.camera.focal == stated
+
+
+@pytest.mark.nightly
+def test_stream_takes_the_focal_length_of_exif(tmp_path):
+    stated = with_exif(tmp_path)
     with pytest.warns(GuessedFocalWarning, match="26 mm"):
         first = next(tisfm.reconstruct_stream(tmp_path, settings=FAST))
     assert first.calibration.origin == "guessed" and first.camera.focal == stated

@@ -56,6 +56,7 @@ def test_submaps_overlap_and_have_limited_size(count):
     assert (len(spans) == 1) == (count <= SUBMAPS.max_views)
 
 
+@pytest.mark.nightly
 def test_submaps_that_cannot_be_aligned_share_no_frame(monkeypatch):
     monkeypatch.setattr(joining, "fit_sim3_ransac", lambda *_, **__: None)
     found = path_in_submaps(turning_walk().frames).pieces
