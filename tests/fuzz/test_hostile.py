@@ -295,7 +295,7 @@ def test_frames_that_are_too_large(data, tmp_path, monkeypatch):
 
         readers.append(av_video.AvVideo)
         with monkeypatch.context() as changed:
-            changed.setattr(av_video, "_LIMITS", {"max_pixels": "1000"})
+            changed.setattr(av_video, "_DECODER_OPTIONS", {"max_pixels": "1000"})
             with pytest.raises(ValueError, match=r"film\.avi"):
                 av_video.AvVideo(path)
     monkeypatch.setattr(video_checks, "MAX_FRAME_PIXELS", 1000)
