@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import tisfm
-from tests.draws import nightly_except
 from tests.reconstruction.films import depth_error, walk
 from tisfm import Settings
 from tisfm.reconstruction.depth import segment_depth as depths
@@ -177,7 +176,8 @@ def within_one(film, poses):
     return np.mean(shares)
 
 
-@pytest.mark.parametrize("draws", nightly_except(3, of=[3, 6]))
+@pytest.mark.nightly  # test_window_depth.py compares errors with the deviation as well
+@pytest.mark.parametrize("draws", [3, 6])
 def test_errors_of_poses_are_in_the_deviation(monkeypatch, draws):
     film = walk(height=120, width=160)
     with_comparison, without = [], []

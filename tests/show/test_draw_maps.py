@@ -286,6 +286,7 @@ def test_large_pictures_are_reduced_by_means():
     assert np.abs(shown(axes)[50, 50] - mean).max() < 40
 
 
+@pytest.mark.nightly
 def test_figures_of_their_own_hold_everything(tmp_path):
     for name, (draw, arrays, _) in parts().items():
         axes = draw(*arrays, title=name)

@@ -22,12 +22,12 @@ from tisfm.show import (
 @pytest.mark.parametrize(
     ("size", "extras"),
     [
-        ((16, 16), ("baseline",)),
-        ((1, 1), ()),
         ((1, 7), ("baseline", "truth", "depth")),
         ((37, 91), ()),
-        ((300, 40), ("baseline", "truth", "depth")),
         ((12, 700), ("baseline",)),
+        pytest.param((16, 16), ("baseline",), marks=pytest.mark.nightly),
+        pytest.param((1, 1), (), marks=pytest.mark.nightly),
+        pytest.param((300, 40), ("baseline", "truth", "depth"), marks=pytest.mark.nightly),
     ],
 )
 def test_comparison_is_drawn_at_any_size(tmp_path, size, extras):

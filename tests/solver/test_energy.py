@@ -5,6 +5,7 @@ import pytest
 
 import tisfm
 from bench import reference
+from tests.draws import examples
 from tests.pairwise import pairwise
 from tests.rendered import two_blocks
 from tisfm.motion.problems import flow_problem, pyramid_of
@@ -48,7 +49,7 @@ def test_energy_never_rises_within_a_warp(
         solver=solver,
         relaxation=relaxation,
         tolerance=0.0,
-        outer_iterations=12,
+        outer_iterations=examples(6, 12),
         sweeps=3,
         cycles=cycles,
         **({"contrast": contrast} if contrast == 1e-3 else {}),
