@@ -92,7 +92,7 @@ def test_noise_widens_the_deviation(small):
 @pytest.mark.parametrize(
     ("preset", "model"),
     [
-        ("paper", "rigid"),
+        pytest.param("paper", "rigid", marks=pytest.mark.nightly),
         ("fast", "translation"),
         pytest.param("balanced", "translation", marks=pytest.mark.nightly),
         ("accurate", "rigid"),
