@@ -24,10 +24,17 @@ def examples(short, nightly):
     return nightly if _nightly else short
 
 
+def long_draw_too(test):
+    """Decorate a test that draws by `examples`: it also runs under -m nightly."""
+    test.has_long_draw = True
+    return test
+
+
 def mark_drawn(items):
     """Under -m nightly, properties run once more, with their long draw."""
     for item in items:
-        if _nightly and is_hypothesis_test(getattr(item, "obj", None)):
+        test = getattr(item, "obj", None)
+        if _nightly and (is_hypothesis_test(test) or hasattr(test, "has_long_draw")):
             item.add_marker("nightly")
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.draws import examples
+from tests.draws import examples, long_draw_too
 from tests.exports.made import made
 
 pytest.importorskip("resource", reason="limits of POSIX")
@@ -72,6 +72,7 @@ def limited(code, *arguments):
     return [json.loads(line) for line in done.stdout.splitlines()]
 
 
+@long_draw_too
 def test_commands_name_file_and_reason(work_folder):
     pytest.importorskip("av")
     made(work_folder / "r", count=6)

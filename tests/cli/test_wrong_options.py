@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.cli.command_line import TISFM, assert_one_line
-from tests.draws import examples
+from tests.draws import examples, long_draw_too
 from tisfm.checks import find_similar_word, spelling_hint
 from tisfm.cli import progress, reconstruct
 from tisfm.cli.command_line import COMMANDS, _load_command
@@ -94,6 +94,7 @@ def numbers_of(command):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
+@long_draw_too
 def test_a_word_in_place_of_a_number_is_one_line(tisfm_run, command):
     """Of every option that takes numbers; of every sixth in the short command."""
     numeric = dict(list(numbers_of(command).items())[:: examples(6, 1)])

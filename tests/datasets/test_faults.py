@@ -18,7 +18,7 @@ from tests.datasets.made import (
     make_stereo,
     write_tiff,
 )
-from tests.draws import examples, nightly_except
+from tests.draws import examples, long_draw_too, nightly_except
 from tisfm.datasets import find_pairs
 from tisfm.datasets.depth_files import read_disparity
 from tisfm.formats import FormatError, write_flo, write_kitti_flow, write_png
@@ -185,6 +185,7 @@ def test_too_little_memory_is_a_memory_error(tmp_path, monkeypatch, save):
 
 
 @pytest.mark.parametrize("save", [np.savez, np.savez_compressed, np.save])
+@long_draw_too
 def test_damaged_arrays_are_named(tmp_path, save):
     path = tmp_path / ("disp.npy" if save is np.save else "disp.npz")
     save(path, np.arange(20, dtype=np.uint8).reshape(4, 5) + 1)

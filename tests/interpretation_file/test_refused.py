@@ -10,7 +10,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from tests.draws import examples
+from tests.draws import examples, long_draw_too
 from tests.interpretation_file.stored import about, about_of, entries_of, rewritten
 from tests.test_interpretation import ARRAYS, H, W
 from tisfm.formats import FormatError, npz
@@ -73,6 +73,7 @@ def test_load_of_a_file_that_lacks_its_last_byte(saved):
     refused(saved, "not a complete .npz file")
 
 
+@long_draw_too
 def test_load_of_a_damaged_file(saved):
     """Each byte is one that a reader may stumble over in its own way; most are check-summed."""
     data = bytearray(saved.read_bytes())

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import tisfm
-from tests.draws import examples
+from tests.draws import examples, long_draw_too
 from tests.runtime.programs import UNDISTORT, answer
 
 HORN_SCHUNCK = """
@@ -35,6 +35,7 @@ def test_horn_schunck_needs_no_home():
 
 
 @on_posix
+@long_draw_too
 def test_a_cache_in_a_folder_of_its_own(tmp_path):
     """Kernels are compiled, then found there; or compiled again where no folder can be made.
 

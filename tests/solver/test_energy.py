@@ -5,7 +5,7 @@ import pytest
 
 import tisfm
 from bench import reference
-from tests.draws import examples
+from tests.draws import examples, long_draw_too
 from tests.pairwise import pairwise
 from tests.rendered import two_blocks
 from tisfm.motion.problems import flow_problem, pyramid_of
@@ -34,6 +34,7 @@ def solve(frame0, frame1, settings, camera):
     cycles=[0, 1],
     short=True,
 )
+@long_draw_too
 def test_energy_never_rises_within_a_warp(
     preset, relaxation, model, solver, frames, contrast, cycles, blocks
 ):
