@@ -14,7 +14,7 @@ from typing import Any
 import taichi as ti
 
 from tisfm.kernels.data.derivatives import DERIVATIVE_HALO
-from tisfm.kernels.layout.internals import bind
+from tisfm.kernels.layout.internals import bind  # stores a value in a kernel's variable
 from tisfm.kernels.layout.lanes import LaneArray, LaneData, LaneGrid, lane_kernel
 from tisfm.kernels.layout.launch import Launch, operation
 from tisfm.kernels.model import MIN_DIVISOR

@@ -45,7 +45,8 @@ def _image_edges(
     image: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
     rate: ti.f32,
     is_serial: ti.template(),
-    out: LaneArray(3),  # (2, H+2, S+2), finite: 0 times an element starts all sums
+    # (2, H+2, S+2); finite on input: 0 times an element makes a zero of the type of lanes
+    out: LaneArray(3),
     partial: SumArray(3),  # (H, blocks, 1)
 ):
     height, width = image.shape[0], image.shape[1]
@@ -55,7 +56,7 @@ def _image_edges(
     for row, block in ti.ndrange(height, blocks):
         zero = 0.0 * out[0, row + 1, 1]
         below = ti.min(row + 1, height - 1)
-        is_open = ti.cast(row < height - 1, ti.f32)
+        has_row_below = ti.cast(row < height - 1, ti.f32)
         center = _lane_values(image, row, block * BLOCK, strip, zero, lanes)
         total = zero
         for position in range(block * BLOCK, ti.min((block + 1) * BLOCK, strip)):
@@ -63,7 +64,7 @@ def _image_edges(
             down = _lane_values(image, below, position, strip, zero, lanes)
             east = _is_before(width - 1, position, strip, zero, lanes)
             east /= 1.0 + rate * ti.max(right - center, center - right)
-            south = is_open * _is_before(width, position, strip, zero, lanes)
+            south = has_row_below * _is_before(width, position, strip, zero, lanes)
             south /= 1.0 + rate * ti.max(down - center, center - down)
             out[0, row + 1, position + 1] = east
             out[1, row + 1, position + 1] = south

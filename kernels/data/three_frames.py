@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import taichi as ti
 
-from tisfm.kernels.layout.internals import bind
+from tisfm.kernels.layout.internals import bind  # stores a value in a kernel's variable
 from tisfm.kernels.layout.lanes import LaneArray, LaneData, LaneGrid, lane_kernel
 from tisfm.kernels.layout.launch import Launch, operation
 from tisfm.kernels.model.robust import check_constraints, robust_data, scale_pairs, terms_of
@@ -46,8 +46,8 @@ def _backward_flow(
 @operation
 def join_constraints(
     grid: LaneGrid,
-    # lane array, 3 components for each constraint: (p, q, c) from the previous frame. They are
-    # written for the flow to the next frame: the sum of both flows is known.
+    # lane array, 3 components for each constraint: (p, q, c) of the previous frame, as constraints
+    # on the flow to the next frame: the flow to the previous frame is flow_sum minus this flow
     previous: LaneData,
     # lane array, 2 components: in [0, 1]: visibility of a pixel in the next frame, and in the
     # previous frame
@@ -69,9 +69,9 @@ def join_constraints(
     """Join the constraints of the next frame with those of the previous frame, in place.
 
     The joint constraint is (a A + b B) / max(1, a + b), with A and B the constraints of the next
-    and the previous frame, and the weights a and b trust times mask. Where a pixel is visible in
-    both frames, this is the mean of both constraints, with half the noise of the shared frame.
-    Elsewhere it is the constraint of the frame that shows the pixel.
+    and the previous frame, and the weights a and b trust times mask. Where both frames show a
+    pixel, this is the mean of A and B. Both contain the noise of the present frame; the mean
+    reduces its effect. Elsewhere this is the constraint of the frame that shows the pixel.
     """
     count = check_constraints(grid, out, scales)
     grid.check(previous, 3 * count, "previous")

@@ -30,9 +30,9 @@ def compare(
     """Compare every point of a view with the depth map of another view where the point projects.
 
     In the other view the point has inverse depth d' = d / g, with g the ratio of its depths in the
-    other view and in this view, and with deviation σ |∂d'/∂d|. The other view agrees with the point
-    if its map has an inverse depth there that differs from d' by at most `tolerance` combined
-    deviations. It sees through the point if its inverse depth is smaller than d' by more.
+    other view and in this view, and with deviation σ |∂d'/∂d|. Let m be the inverse depth that the
+    other view's map has there, and L be `tolerance` combined deviations. The other view agrees with
+    the point if |m − d'| ≤ L. It sees through the point if m < d' − L.
     """
     check_map(inverse_depth, deviation)
     check_map(other_inverse_depth, other_deviation, "other_")

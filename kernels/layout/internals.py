@@ -97,8 +97,9 @@ class Arguments:
         self.names: list[str] = []
         self.annotations: list[Any] = []
         self.constants: list[int] = []  # indices of ``ti.template()`` arguments
-        # (index, slot, axes, dtype, ndim): an array has `ndim` axes of scalars of type `dtype`. Its
-        # last axis may be the elements of a vector; ``shape[:axes]`` is the shape without them.
+        # (index, slot, end, dtype, ndim): an array has `ndim` axes of scalars of type `dtype`. If
+        # its last axis holds the elements of vectors, `end` is −1, else None: ``shape[:end]`` has
+        # no vector axis.
         self.arrays: list[tuple[int, int, int | None, Any, int]] = []
         self.floats: list[tuple[int, int]] = []  # (index, slot)
         self.integers: list[tuple[int, int]] = []
@@ -154,7 +155,7 @@ def check(parameters: Arguments, arguments: tuple) -> None:
 
 
 def compile_kernel(kernel: Any, arguments: tuple) -> tuple[Any, Any]:
-    """Compile a kernel for arguments; return it for `make_context` and for `launch_function`."""
+    """Compile a kernel; return one object for `make_context`, then one for `launch_function`."""
     primal = kernel._primal
     compiled = primal.compiled_kernels[primal.ensure_compiled(*arguments)]
     program_ = impl.get_runtime().prog
@@ -174,12 +175,12 @@ def make_context(compiled: Any, parameters: Arguments, arguments: tuple) -> tupl
     A context holds the arguments of a kernel.
     """
     launch_context, on_host = compiled.make_launch_context(), True
-    for index, slot, axes, _, _ in parameters.arrays:
+    for index, slot, end, _, _ in parameters.arrays:
         array = arguments[index]
         if isinstance(array, np.ndarray):
             address = array.__array_interface__["data"][0]
             launch_context.set_arg_external_array_with_shape(
-                (slot,), address, array.nbytes, array.shape[:axes], 0
+                (slot,), address, array.nbytes, array.shape[:end], 0
             )
         else:
             launch_context.set_arg_ndarray((slot,), array.arr)

@@ -26,15 +26,16 @@ import taichi as ti
 
 from tisfm.kernels.layout import internals
 from tisfm.kernels.layout.buffers import ALIGNMENT, buffers
-from tisfm.kernels.layout.internals import bind
+from tisfm.kernels.layout.internals import bind  # stores a value in a kernel's variable
 from tisfm.kernels.layout.launch import Kernel
 
 LANES = (1, 8, 16)
-CHUNK = 512  # iterations of a parallel loop: Taichi gives a thread at least as many
+CHUNK = 512  # iterations: Taichi gives a thread at least this number of a parallel loop
 # pixels: up to this size, one thread finishes before other threads have started
 MAX_SERIAL_PIXELS = 8192
 INDEX_MASK = 2**29 - 1  # bit mask of indices; a lane array has at most as many elements
-# components of a lane array: weights of 6 unknowns on 2 edges (stacks of plain images have 7)
+# largest number of components: a lane array holds weights of 6 unknowns on 2 edges; a stack of
+# plain images has at most 7 images
 MAX_COMPONENTS = 12
 MAX_HALO = 4  # px: the halo of frames
 MAX_INDEX = 2**31 - 1  # largest index of plain arrays: kernels have 32-bit indices
@@ -137,8 +138,8 @@ def element(array: Any, index: Any) -> Any:
 
     The address from three indices takes seven instructions at each access, because 32-bit indices
     might overflow. Here, `index` is the sum of a start of `component_starts` and of
-    ``(y * row + s) & INDEX_MASK`` with ``row = array.shape[2] & INDEX_MASK``. From the masks the
-    compiler knows that no overflow is possible, and most of the sum becomes part of the load.
+    ``(y * row + s) & INDEX_MASK`` with ``row = array.shape[2] & INDEX_MASK``. The masks show the
+    compiler that no overflow is possible. Then the load instruction itself does most of the sum.
     """
     return internals.subscript(array, _indices(array, index))
 
@@ -282,9 +283,9 @@ class LaneGrid:
         return mask
 
     def edge_mask(self) -> LaneData:
-        """Return a lane array of 2 components: 1 if the image has an eastern, a southern neighbour.
+        """Return a lane array of 2 components: 1 if a pixel has a neighbour in the image, else 0.
 
-        Elsewhere it is 0.
+        The first component is for the eastern neighbour, the second for the southern neighbour.
         """
         edges = aligned_zeros(self.shape(2))
         edges[0, 1:-1] = self.columns(self.column_index() < self.width - 1)

@@ -1,9 +1,9 @@
 """Robust terms: a constraint or an edge has less weight if its residual is large.
 
 The constraints (p, q, c) of data term i include its weight m_i (`tisfm.kernels.data.constraints`).
-Their squares add up to q_i, so q_i/m_i is free of the weight. The term contributes m_i ψ(q_i/m_i)
-to the energy, with ψ(q) = 2ε²(√(1 + q/ε²) − 1) (Charbonnier), computed as 2q/(1 + √(1 + q/ε²)). Its
-half-quadratic form is w q + m ε²(w + 1/w − 2), with its minimum at w = 1/√(1 + q/(m ε²)).
+Their squares add up to e_i, so e_i/m_i is free of the weight. The term contributes m_i ψ(e_i/m_i)
+to the energy, with ψ(e) = 2ε²(√(1 + e/ε²) − 1) (Charbonnier), computed as 2e/(1 + √(1 + e/ε²)). Its
+half-quadratic form is w e + m ε²(w + 1/w − 2), with its minimum at w = 1/√(1 + e/(m ε²)).
 
 An edge joins two neighbouring pixels. ρ̂ are the n unknowns of a pixel, Δρ̂_k is the difference of
 unknown k along an edge, s_k the stiffness of this unknown, and δ the contrast. The auxiliary field
@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from tisfm.kernels.layout.internals import bind
+from tisfm.kernels.layout.internals import bind  # stores a value in a kernel's variable
 from tisfm.kernels.layout.lanes import LaneData, LaneGrid
 
 
@@ -42,14 +42,14 @@ def check_constraints(grid: LaneGrid, terms: LaneData, scales: Sequence[float]) 
 
 
 def terms_of(constraints: Any) -> list:
-    """Return the constraints of each term: of three, the first is one term, the rest another."""
+    """Return the constraints of each term: of three, the first is a term, and the others are a term."""
     if len(constraints) < 3:
         return [constraints]
     return [constraints[:1], constraints[1:]]
 
 
 def scale_pairs(scales: Sequence[float]) -> tuple[float, ...]:
-    """Return 1/s and s of two terms with scales s; 0 and 0 for infinite s, where w is 1."""
+    """Return 1/scale and scale of two terms; 0 and 0 for an infinite scale, where w is 1."""
     pairs = [(1.0 / s, s) if np.isfinite(s) else (0.0, 0.0) for s in (*scales, np.inf)]
     return (*pairs[0], *pairs[1])
 
@@ -75,17 +75,17 @@ def motion_tensor(constraints: list) -> list:
 def robust_data(terms: list, scales: list, u: Any, v: Any) -> tuple[Any, list]:
     """Return the energy of a pixel's terms at a flow, and the tensor of its half-quadratic form.
 
-    `terms` are lists of constraints, `scales` pairs (1/s, s) of `scale_pairs`. J_tt includes the
+    `terms` are lists of constraints, `scales` the pairs of `scale_pairs`. J_tt includes the
     penalty m ε²(w + 1/w − 2), so the quadratic form of the tensor is the half-quadratic energy.
     """
     energy: Any = 0.0
     tensor: list[Any] = [0.0] * 6
     for constraints, (inverse_scale, scale) in zip(terms, scales, strict=False):
-        q = sum_of_squares(constraints, u, v)
-        root = bind(ti.sqrt(1.0 + inverse_scale * q))
+        squares = sum_of_squares(constraints, u, v)
+        root = bind(ti.sqrt(1.0 + inverse_scale * squares))
         factor = bind(1.0 / (root * (1.0 + root)))  # one division in place of two
         weight = bind((1.0 + root) * factor)
-        energy = energy + 2.0 * q * (root * factor)
+        energy = energy + 2.0 * squares * (root * factor)
         tensor = [
             total + weight * entry
             for total, entry in zip(tensor, motion_tensor(constraints), strict=True)

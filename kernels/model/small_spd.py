@@ -9,11 +9,11 @@ from typing import Any
 
 import taichi as ti
 
-from tisfm.kernels.layout.internals import bind
+from tisfm.kernels.layout.internals import bind  # stores a value in a kernel's variable
 from tisfm.kernels.model import MIN_PIVOT
 
 PIVOT_FLOOR = 1e-6  # share of the diagonal entry, about ten float32 roundings
-# share of the matrix J that the diagonal D has at least in `woodbury_solve`: with less, rounding
+# smallest ratio of the diagonal D to the matrix J in `woodbury_solve`: with a smaller D, rounding
 # dominates the closed form
 DATA_FLOOR = 1e-6
 
@@ -39,7 +39,7 @@ def cholesky_solve(
             entry = matrix[i][j]
             for k in range(j):
                 entry = entry - lower[i][k] * lower[j][k]
-            lower[i][j] = bind(entry)  # L D: divided by the pivot of column j when j reaches row i
+            lower[i][j] = bind(entry)  # entry of L D; in pass j = i it is divided by the pivot
     x: list[Any] = [None] * n
     for i in range(n):
         entry = rhs[i]
@@ -68,7 +68,7 @@ def woodbury_solve(
         K = (I + J M)⁻¹ J = (J + det J · adj M) / (1 + tr(J M) + det J · det M).
 
     For grey images and three unknowns, the translation, this is eq. 18 of the paper that
-    docs/method.md cites (its third line must read s3, not s1). The denominator is at least 1, so
+    docs/method.md cites (its third line has s1 in place of s3). The denominator is at least 1, so
     only D needs a floor: it must be at least `DATA_FLOOR` times J. For a J of rank 1, rounding
     makes det J differ from 0. The error of x is then up to ‖J M‖ times that of one rounding.
     """

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from tisfm.kernels.layout.internals import bind
+from tisfm.kernels.layout.internals import bind  # stores a value in a kernel's variable
 from tisfm.kernels.layout.lanes import LaneArray, LaneData, SumArray, lane_count, lane_kernel
 from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store_sum
 from tisfm.kernels.model import MIN_DEPTH_RATIO, MIN_DIVISOR

@@ -32,7 +32,7 @@ def aggregate(
     # step, jump: cost of a change by one hypothesis, and of a larger change
     step: float,
     jump: float,
-    edge: float,  # step of grey levels at which a jump has half its cost
+    edge: float,  # difference of grey levels at which a jump has half its cost
 ) -> None:
     """Sum costs along the four paths through every pixel, from each border of the image.
 
@@ -48,16 +48,16 @@ def aggregate(
     check_array(cost, cost.shape, "cost")
     check_array(out, cost.shape, "out")
     check_array(guide, cost.shape[:2], "guide", aligned=False)
-    for across in (True, False):
-        lines = cost.shape[0] if across else cost.shape[1]
+    for by_rows in (True, False):
+        lines = cost.shape[0] if by_rows else cost.shape[1]
         path, minima = aligned_empty((lines, *cost.shape[2:])), np.empty(lines, np.float32)
-        _aggregate[lanes](cost, guide, path, minima, step, jump, 1 / edge, across, out)
+        _aggregate[lanes](cost, guide, path, minima, step, jump, 1 / edge, by_rows, out)
 
 
 def best_hypothesis(
     cost: np.ndarray,  # (H, W, N) float32
-    # (H, W) float32: number of the hypothesis with its fraction, from 0 to count − 1; of equally
-    # good hypotheses the first
+    # (H, W) float32: index of the best hypothesis with a fraction, from 0 to count − 1. If several
+    # hypotheses are equally good, the first of them is chosen.
     out: np.ndarray,
     *,
     count: int,  # number of hypotheses, the first of the N elements; at least 2
@@ -99,7 +99,7 @@ def _aggregate(
     step: ti.f32,
     jump: ti.f32,
     inverse_edge: ti.f32,
-    across: ti.template(),
+    by_rows: ti.template(),
     out: LaneArray(3),  # (H, W, M)
 ):
     """Sum along rows, writing `out`, or along columns, adding to `out`."""
@@ -107,30 +107,31 @@ def _aggregate(
     if ti.static(lane_count(cost) == 1):  # on a GPU: one thread for each line
         for line in range(lines):
             _sum_lines(
-                cost, guide, path, minima, step, jump, inverse_edge, across, out, line, line + 1
+                cost, guide, path, minima, step, jump, inverse_edge, by_rows, out, line, line + 1
             )
     else:
-        lines_per_task = ti.static(1 if across else COLUMNS)
+        lines_per_task = ti.static(1 if by_rows else COLUMNS)
+        # Taichi gives a thread at least CHUNK iterations. So each thread gets one task.
         for task in range(CHUNK * ((lines + lines_per_task - 1) // lines_per_task)):
             if task % CHUNK == 0:
                 first = task // CHUNK * lines_per_task
                 end = ti.min(first + lines_per_task, lines)
                 _sum_lines(
-                    cost, guide, path, minima, step, jump, inverse_edge, across, out, first, end
+                    cost, guide, path, minima, step, jump, inverse_edge, by_rows, out, first, end
                 )
 
 
 @ti.func
 def _sum_lines(
     cost: ti.template(), guide: ti.template(), path: ti.template(), minima: ti.template(), step,
-    jump, inverse_edge, across: ti.template(), out: ti.template(), first, end,
+    jump, inverse_edge, by_rows: ti.template(), out: ti.template(), first, end,
 ):  # fmt: skip
     """Sum along lines `first` to `end` − 1 of the image, forward and then backward."""
     count = cost.shape[2]
     lanes = ti.static(lane_count(cost))
-    length = cost.shape[1] if ti.static(across) else cost.shape[0]
+    length = cost.shape[1] if ti.static(by_rows) else cost.shape[0]
     for direction in range(2):
-        is_addition = direction == 1 or ti.static(not across)
+        is_addition = direction == 1 or ti.static(not by_rows)
         for line in range(first, end):
             minima[line] = 0.0
             for m in range(count):
@@ -139,11 +140,11 @@ def _sum_lines(
             position = i if direction == 0 else length - 1 - i
             previous_position = ti.max(0, ti.min(position - 1 + 2 * direction, length - 1))
             for line in range(first, end):
-                y = line if ti.static(across) else position
-                x = position if ti.static(across) else line
+                y = line if ti.static(by_rows) else position
+                x = position if ti.static(by_rows) else line
                 difference = guide[y, x] - (
                     guide[y, previous_position]
-                    if ti.static(across)
+                    if ti.static(by_rows)
                     else guide[previous_position, x]
                 )
                 difference = ti.max(difference, 0.0 - difference)

@@ -14,7 +14,7 @@ A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
 import numpy as np
 import taichi as ti
 
-from tisfm.kernels.layout.internals import bind
+from tisfm.kernels.layout.internals import bind  # stores a value in a kernel's variable
 from tisfm.kernels.layout.lanes import (
     LaneArray,
     LaneData,

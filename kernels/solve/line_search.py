@@ -6,7 +6,7 @@ A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
 import numpy as np
 import taichi as ti
 
-from tisfm.kernels.layout.internals import bind
+from tisfm.kernels.layout.internals import bind  # stores a value in a kernel's variable
 from tisfm.kernels.layout.lanes import (
     LaneArray,
     LaneData,
@@ -21,8 +21,8 @@ from tisfm.kernels.layout.reductions import BLOCK, add_blocks, block_sums, store
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
 
 MIN_INDEPENDENCE = 1e-5  # squared sine of the angle between directions, in the norm of the energy
-# Accuracy of a slope, as a share of the sum of the absolute values of its terms: each term has a
-# few rounding errors of float32.
+# Accuracy of an entry of the vector, as a share of the sum of the absolute values of its terms:
+# each term has a few rounding errors of float32.
 ROUNDING = 64 * 2.0**-24
 
 

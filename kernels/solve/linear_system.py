@@ -112,17 +112,17 @@ class LinearSystem:
         rho: LaneData,
         previous: LaneData,
         constraints: LaneData,
-        edges: LaneData,
+        edges: LaneData,  # lane array, 2 components: g of the eastern and the southern edge
         *,
         contrast: float,
         scales: Sequence[float],
         along_line: bool = False,
     ) -> Callable[[], Sums]:
-        """Return a function that computes energies, change and size of ρ̂, and new weights.
+        """Return a function that writes weights and tensor for ρ̂, and returns sums over the image.
 
-        It writes the weights and the tensor for ρ̂. `along_line` says that q is 0 in all
-        constraints (p, q, c). All arguments are those of
-        `tisfm.kernels.solve.weight_update.bind_update`.
+        The sums are energies, and the norms of ρ̂ and of its change. `along_line` says that a pixel
+        can only move along its epipolar line: then q is 0 in all constraints (p, q, c). All
+        arguments are those of `tisfm.kernels.solve.weight_update.bind_update`.
         """
         self._check(rho=rho, previous=previous)
         self.grid.check(edges, 2, "edges")

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from tisfm.kernels.layout.internals import bind
+from tisfm.kernels.layout.internals import bind  # stores a value in a kernel's variable
 from tisfm.kernels.layout.lanes import (
     INDEX_MASK,
     LaneArray,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from tisfm.kernels.layout.internals import bind
+from tisfm.kernels.layout.internals import bind  # stores a value in a kernel's variable
 from tisfm.kernels.layout.lanes import (
     INDEX_MASK,
     LaneArray,
@@ -25,10 +25,12 @@ from tisfm.kernels.layout.lanes import (
     load,
 )
 from tisfm.kernels.layout.reductions import BLOCK, block_sums, store_sum
-from tisfm.kernels.solve.line_search import quadratic_of_sums, size_of
+from tisfm.kernels.solve.line_search import quadratic_of_sums, size_of  # size_of(x) is |x|
 from tisfm.kernels.solve.second_order.stencil import COMPONENTS, WEIGHTS
 
-SUM_COUNT = 7  # sums that give the quadratic function: 3 entries, 2 slopes and their 2 sizes
+# sums that give the quadratic function: 3 entries of the matrix, 2 of the vector, and, for each of
+# these 2, the sum of the absolute values of its terms
+SUM_COUNT = 7
 
 
 def bind_plane_energy(
@@ -86,12 +88,12 @@ def _plane_energy(
                 load(correction, i),
                 load(step, i),
             )
-            slope, size = a * previous_depth + b, size_of(a * previous_depth) + size_of(b)
+            derivative, size = a * previous_depth + b, size_of(a * previous_depth) + size_of(b)
             sums[0] += a * correction_depth * correction_depth
             sums[1] += a * correction_depth * step_depth
             sums[2] += a * step_depth * step_depth
-            sums[3] += slope * correction_depth
-            sums[4] += slope * step_depth
+            sums[3] += derivative * correction_depth
+            sums[4] += derivative * step_depth
             sums[5] += size * size_of(correction_depth)
             sums[6] += size * size_of(step_depth)
             for side in ti.static(range(2)):  # east, south
@@ -103,8 +105,8 @@ def _plane_energy(
                     _differences(correction, starts, i, neighbour, side, half_h)
                 )
                 step_differences = ti.static(_differences(step, starts, i, neighbour, side, half_h))
-                for term, kind in ti.static(enumerate((0, 1, 1, 2))):
-                    weight = load(weights, i + starts[2 * kind + side])
+                for term, weight_index in ti.static(enumerate((0, 1, 1, 2))):  # a, b, b, c
+                    weight = load(weights, i + starts[2 * weight_index + side])
                     weighted_correction, weighted_step = (
                         weight * correction_differences[term],
                         weight * step_differences[term],

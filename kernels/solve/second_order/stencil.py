@@ -4,7 +4,7 @@ from typing import Any
 
 import taichi as ti
 
-from tisfm.kernels.layout.internals import bind
+from tisfm.kernels.layout.internals import bind  # stores a value in a kernel's variable
 from tisfm.kernels.layout.lanes import element
 
 COMPONENTS = 3  # D, v₁, v₂

@@ -41,7 +41,8 @@ class SecondOrderSystem:
     # lane array, 6 components: a, b and c of the eastern and the southern edge: (a_E, a_S, b_E,
     # b_S, c_E, c_S)
     weights: LaneData
-    # alpha, beta, gamma: weights of r, Δv and ΔD, per px² of D; `gamma` may be 0
+    # alpha, beta, gamma: strengths of the smoothness of r, Δv and ΔD, which are factors of a, b and
+    # c on all edges; `gamma` may be 0
     alpha: float
     beta: float
     gamma: float = 0.0
@@ -96,17 +97,18 @@ class SecondOrderSystem:
         rho: LaneData,
         previous: LaneData,
         anchors: LaneData,
-        edges: LaneData,
+        edges: LaneData,  # lane array, 2 components: g of the eastern and the southern edge
         constraints: LaneData | None = None,
         *,
         contrasts: Sequence[float],
         anchor_scale: float,
         scales: Sequence[float] = (),
     ) -> Callable[[], Sums]:
-        """Return a function that computes energies, change and size of D, and new weights.
+        """Return a function that writes weights and tensor for D, and returns sums over the image.
 
-        An anchor (w, D*) of `anchors` is a known inverse depth D* of weight w; beyond a difference
-        of `anchor_scale`, px/frame, it counts less. All arguments are those of
+        The sums are energies, and the norms of D and of its change. An anchor (w, D*) of `anchors`
+        is a known inverse depth D* of weight w; beyond a difference of `anchor_scale`, px/frame, it
+        counts less. All arguments are those of
         `tisfm.kernels.solve.second_order.weight_update.bind_update`.
         """
         self._check(rho=rho)
