@@ -62,9 +62,9 @@ def guess_focal(source: str | os.PathLike[str] | Sequence[int]) -> FocalGuess:
 
     The EXIF data of a file are used first: the 35 mm equivalent focal length, for which the
     diagonal of the film equals the diagonal of the image, or else the true focal length together
-    with the resolution of the sensor. If the image is smaller than the EXIF data say, it is
-    assumed to have been resized, and cropped only as far as its aspect ratio differs. Without
-    usable EXIF data the guess is 1.2 times the longer side.
+    with the resolution of the sensor. If the EXIF data state a larger image, the image is assumed
+    to have been resized. If they state another aspect ratio, it is assumed to have been cropped
+    along one axis. Without usable EXIF data the guess is 1.2 times the longer side.
 
     Parameters
     ----------

@@ -65,8 +65,9 @@ def interpret(
     pose : (4, 4) or (3, 3) array, optional
         A known motion, for ``motion="camera"``. Either (R, t; 0, 1), which takes points from frame
         0's camera axes to frame 1's, P₁ = R P₀ + t: depth then has the unit of t. Or R alone: the
-        direction of the translation is then estimated. With t, pixels without parallax count as
-        far: their inverse depth is 0 within its deviation. Only identical frames then get no depth.
+        direction of the translation is then estimated. With t, pixels without parallax are
+        taken as far away: their inverse depth is near 0, compared with its standard deviation. Only
+        identical frames then get no depth.
         If a rolling shutter is undone, the pose is that between the middle rows.
     mask : (H, W) or (2, H, W) array, optional
         Pixels to use, for both frames or for each; black, zero or False pixels are ignored, for
@@ -206,7 +207,7 @@ def interpret_pair(
     history, is_finite = _finite_history(history_of(estimate.history))
     status = estimate.status
     has_known_translation = known_pose is not None and known_pose.translation is not None
-    if status != "pose_mismatch":  # a wrong pose explains a wrong flow, too
+    if status != "pose_mismatch":  # a wrong pose is the more likely reason for a wrong flow
         is_confirmed = estimate.uses_matches or has_known_translation
         divergence = diverged_status(flow, is_leaving, is_confirmed=is_confirmed)
         if (
@@ -221,7 +222,7 @@ def interpret_pair(
             status = field_status(pyramid, flow, pixel_confidence) or status
         elif estimate.start_flow is not None:
             depth_doubt = depth_status(pyramid, estimate, occluded)
-            # If both are "uncertain", the message of the first is more specific.
+            # If both statuses are "uncertain", the estimate's own message is more specific.
             if depth_doubt is not None and depth_doubt != status:
                 status = depth_doubt
     status = with_brightness_advice(status, pyramid, settings)

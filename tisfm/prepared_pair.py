@@ -45,7 +45,7 @@ def prepare_pair(
     camera: Camera | None,
     settings: Settings,
     ignored: tuple[np.ndarray | None, np.ndarray | None] | None,
-    scales_unit_range: bool,
+    scales_unit_range: bool,  # whether float frames in [0, 1] are brought to the 8-bit scale
     known_pose: KnownPose | None = None,
 ) -> PreparedPair:
     """Return a pair ready for interpretation; the arguments are as for `interpret_pair`."""

@@ -42,7 +42,7 @@ def check_constraints(grid: LaneGrid, terms: LaneData, scales: Sequence[float]) 
 
 
 def terms_of(constraints: Any) -> list:
-    """Return the constraints of each term: of three, the first is a term, and the others are a term."""
+    """Return the constraints of each term; of three, the first forms a term, the others another."""
     if len(constraints) < 3:
         return [constraints]
     return [constraints[:1], constraints[1:]]

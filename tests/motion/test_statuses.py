@@ -68,7 +68,7 @@ def test_a_flow_that_folds_the_image_is_unrelated(scene):
     folding = np.zeros((*SIZE, 2), np.float32)
     folding[:, ::4, 0] = 1.5  # every fourth pixel moves past its neighbour
     assert "folds" in unrelated_status(*frames, folding, trust).message
-    assert unrelated_status(*frames, folding, trust, is_free_flow=False) is None
+    assert unrelated_status(*frames, folding, trust, is_unrestricted=False) is None
     folding[:, 40:] = 0
     assert unrelated_status(*frames, folding, trust) is None
 

@@ -42,7 +42,7 @@ class Figures:
             self.frames,
             self.output,
             camera=self.camera.camera(),
-            guess=self.camera.guess("field"),
+            guess=self.camera.guess("field"),  # the motion model of the paper
             threads=self.threads,
         )
 
@@ -89,9 +89,9 @@ def write_paper_figures(
 
     ``figure_lambda.png``: the preset ``"paper"`` with λ = 1e8 and 1e9 at f = 600 (Fig. 6).
     ``figure_presmoothing.png``: without and with a Gaussian applied to the frames first (Fig. 8).
-    ``figure_contrast.png``: the default preset with the paper's contrast, δ = 1 in the units of
-    τ = T/Z, translation over depth, and with the default contrast. With the paper's contrast,
-    smoothness weakens nowhere and no edge is preserved.
+    ``figure_contrast.png``: the default preset with the paper's contrast, and with the default
+    contrast. The paper has δ = 1 for τ = T/Z, translation over depth: this is δ = f px for ρ̂ = f τ.
+    With the paper's contrast, smoothness weakens nowhere and no edge is preserved.
     Both panels of a figure have the same grey scale.
 
     Parameters

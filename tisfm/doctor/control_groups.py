@@ -79,7 +79,7 @@ def _read_mounts(process: Path) -> Iterator[tuple[str, Path, set[str] | None]]:
 
 
 def _path_in_mount(group: str, root: str) -> PurePosixPath:
-    """Return the path of a group in a mount; the mount itself if only that is visible."""
+    """Return the path of a group in a mount; the mount's own folder if the group is outside it."""
     path, top = PurePosixPath(group), PurePosixPath(root)
     if ".." in path.parts or not path.is_relative_to(top):
         return PurePosixPath()

@@ -21,7 +21,7 @@ from tisfm.formats.atomic import TEMPORARY_PREFIX, TEMPORARY_SUFFIX, is_temporar
 LOCK = ".tisfm.lock"
 """Name of the lock file of a folder; a run that writes to the folder has its lock."""
 
-# s: wait for the lock, since `is_locked` of another process has it for an instant; a guess
+# s: longest wait for the lock. `is_locked` in another process takes it for an instant. A guess.
 _LOCK_TIMEOUT = 0.2
 _LOCK_POLL_INTERVAL = 0.02  # s between two attempts; a guess
 _thread_state = threading.local()  # .reentrant: folders that the thread locked as reentrant

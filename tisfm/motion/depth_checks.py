@@ -127,13 +127,13 @@ def pose_status(
     best_residual: float,  # this distance for the motion that fits best, px
     *,
     # this distance for the inverse of the pose, px; None for a rotation alone
-    inverse_residual: float | None = None,
+    inverse_pose_residual: float | None = None,
 ) -> Status | None:
     """Return the status of a given pose that contradicts a flow, None for others."""
     max_residual = CHECKS.max_pose_ratio * max(best_residual, CHECKS.min_pose_distance)
     if residual <= max_residual:
         return None
-    if inverse_residual is not None and inverse_residual <= max_residual:
+    if inverse_pose_residual is not None and inverse_pose_residual <= max_residual:
         advice = "its inverse fits, so give np.linalg.inv(pose)"
     else:
         advice = (

@@ -41,7 +41,8 @@ class Estimate:
     motions: np.ndarray | None = None  # (K, 6) float64 or None: twists (T, ω) of K rigid motions
     labels: np.ndarray | None = None  # (H, W) int32 or None: index of each pixel's motion
     inverse_depth_std: np.ndarray | None = None  # (H, W) float32 or None
-    deviation_factor: float = 1.0  # factor of `inverse_depth_std` for errors that pixels share
+    # factor in `inverse_depth_std` for errors of the flow that many pixels have in common
+    deviation_factor: float = 1.0
     # whether the first motion came from matched points, as for frames far apart
     uses_matches: bool = False
     # (h, w, 2) float32 or None: flow field that gave the first rigid motion, px of its level; None
@@ -86,7 +87,7 @@ def iteration_status(
             f"depth still changed by {last.change:.1e} of its norm in the last iteration "
             f"(tolerance {settings.tolerance:g}): accept a higher tolerance",
         )
-    if settings.pyramid_levels == 1:  # then the estimated distance from the minimum ends them
+    if settings.pyramid_levels == 1:  # the estimated distance from the minimum ended the iterations
         return _remaining_error_status(converged, settings)
     if not converged:
         option = "cycles" if settings.cycles else "sweeps"
@@ -139,16 +140,16 @@ def make_estimate(
     settings: Settings,
     *,
     unit: float | None = None,  # ‖t‖ of a given motion; depth then has its unit
-    hidden_label: int | None = None,  # the label whose parallax is too small to return its depth
+    depthless_label: int | None = None,  # the label whose parallax is too small to return its depth
     # px: robust standard deviation of the flow field from the nearest flow that the motion allows
-    # at any depth. Above noise it shows errors that pixels share. One factor enlarges the
-    # deviations of all pixels, so that the median deviation includes these errors.
+    # at any depth. If it is larger than noise, many pixels have errors in common. One factor
+    # enlarges the deviations of all pixels, so that the median deviation includes these errors.
     flow_residual: float = 0.0,
 ) -> Estimate:
     """Return the estimate of rigid motions with depth; ‖T‖ = 1 is the unit of depth."""
     twists = np.empty((len(solution.motions), 6))
-    twist_units = np.empty(len(twists), np.float32)  # d / D, for ‖T‖ = 1
-    output_units = np.empty(len(twists), np.float32)  # d / D, in the unit of the returned depth
+    twist_units = np.empty(len(twists), np.float32)  # (inverse depth for ‖T‖ = 1) / D
+    output_units = np.empty(len(twists), np.float32)  # (returned inverse depth) / D
     for label, motion in enumerate(solution.motions):
         length = float(np.linalg.norm(motion[:, 3]))
         if length == 0:
@@ -156,12 +157,13 @@ def make_estimate(
             twist_units[label] = output_units[label] = 0
             continue
         twist = rigid_twist(motion[:, :3], motion[:, 3] / length)
-        speed = float(np.linalg.norm(twist[:3]))  # ‖T‖ for ‖t‖ = 1
+        # length of the twist's translation T if the pose's translation t has length 1
+        speed = float(np.linalg.norm(twist[:3]))
         twists[label] = [*(twist[:3] / speed), *twist[3:]]
         twist_units[label] = length * speed / camera.focal
         output_units[label] = twist_units[label] if unit is None else length / camera.focal / unit
-    if hidden_label is not None:
-        twist_units[hidden_label] = output_units[hidden_label] = 0
+    if depthless_label is not None:
+        twist_units[depthless_label] = output_units[depthless_label] = 0
     factor = output_units[labels] if len(output_units) > 1 else output_units[0]
     deviation = solution.deviation()
     deviation_factor = _deviation_factor(deviation, flow_residual)
@@ -269,6 +271,6 @@ def _fields(
         motions=motions,
         twists=scaled_twists,
         focal=camera.focal,
-        by_pixel=runtime.runs_on_gpu(),
+        by_pixel=runtime.runs_on_gpu(),  # a thread for each pixel
     )
     return flow, rho

@@ -140,7 +140,7 @@ def first_motion(
         return replace(start, status=mismatch)
     fit_residual = fit.residual / scale
     if known_pose.translation is not None:
-        residual, inverse_residual = (
+        residual, inverse_pose_residual = (
             deviation_from_pose(start.flow, start.trust, camera, *motion) / scale
             for motion in _pose_and_inverse(known_pose.rotation, known_pose.translation)
         )
@@ -148,7 +148,7 @@ def first_motion(
         doubt = (
             None
             if stripes
-            else pose_status(residual, fit_residual, inverse_residual=inverse_residual)
+            else pose_status(residual, fit_residual, inverse_pose_residual=inverse_pose_residual)
         )
         return replace(start, residual=0.0 if stripes else residual, doubt=doubt)
     doubt = None

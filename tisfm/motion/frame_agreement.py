@@ -24,7 +24,7 @@ def unrelated_status(
     flow: np.ndarray,  # (H, W, 2) float32: px/frame
     trust: np.ndarray,  # (H, W) float32: confidence of the flow; not all 0
     *,
-    is_free_flow: bool = True,  # whether the flow is free at every pixel
+    is_unrestricted: bool = True,  # whether no motion model restricts the flow of a pixel
 ) -> Status | None:
     """Return the status of frames that a flow does not align, None for others.
 
@@ -32,7 +32,7 @@ def unrelated_status(
     that is free at every pixel also has to keep neighbours in order nearly everywhere: a flow that
     folds the image can align any two frames.
     """
-    if is_free_flow and (share := _folded_share(flow, trust)) > CHECKS.max_folded_share:
+    if is_unrestricted and (share := _folded_share(flow, trust)) > CHECKS.max_folded_share:
         return Status(
             "unrelated",
             f"the frames match only if the flow folds {100 * share:.0f}% of the image over: check "

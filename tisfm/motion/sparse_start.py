@@ -44,8 +44,9 @@ class SparseStart:
 def sparse_start(
     pyramid: ImagePyramid,
     level: int,  # level whose frames decide between motions; the returned flow is on this level
-    # (rotation, translation) or None: motion of a flow field. Another motion replaces it only if
-    # the matches fit clearly better. It decides between motions that fit the images equally well.
+    # (rotation, translation) or None: motion of a flow field. A motion of matches replaces it only
+    # if the matches fit that motion clearly better. If several motions fit the images equally well,
+    # the motion nearest to `flow_pose` is chosen.
     flow_pose: Pose | None,
 ) -> SparseStart | None:
     """Return the motion of matches that fits the images best; None if none beats `flow_pose`."""
@@ -96,12 +97,12 @@ def known_pose_start(
     doubt = None
     if motions and _SweptMotion(pyramid, level, motions[0]).mismatch is None:
         rotation, translation = pose
-        residual, inverse_residual = (
+        residual, inverse_pose_residual = (
             px_factor * pose_residual(motions[0].rays, candidate)
             for candidate in (pose, (rotation.T, -rotation.T @ translation))
         )
         best_residual = px_factor * max(motions[0].residual, SPARSE.min_residual)
-        doubt = pose_status(residual, best_residual, inverse_residual=inverse_residual)
+        doubt = pose_status(residual, best_residual, inverse_pose_residual=inverse_pose_residual)
     motion = known_pose_motion(matches, camera, shape, pose)
     if motion is None:
         return None, doubt
@@ -162,7 +163,7 @@ class _SweptMotion:
         )
         self.trust = np.clip(weight * correlations, 0, 1).astype(np.float32)
         self.mismatch = (
-            unrelated_status(frame0, frame1, self.flow, weight, is_free_flow=False)
+            unrelated_status(frame0, frame1, self.flow, weight, is_unrestricted=False)
             if total_weight > 0
             else None
         )

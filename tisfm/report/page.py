@@ -25,7 +25,7 @@ _MIN_PICTURE_HEIGHT = 110  # px
 
 @dataclass(frozen=True, kw_only=True)
 class Picture:
-    """A picture of a slide: its title, and its data address; None for a missing picture."""
+    """A picture of a slide: its title and its data URL; `url` is None for a missing picture."""
 
     title: str
     url: str | None
@@ -75,7 +75,7 @@ class Report:
 
     @property
     def picture_titles(self) -> set[str]:
-        """Titles of pictures of at least one slide; the page omits all other legends."""
+        """Titles of the pictures that exist; the page shows only the legends of these pictures."""
         pictures = (picture for slide in self.slides for picture in slide.pictures)
         return {picture.title for picture in pictures if picture.url is not None}
 

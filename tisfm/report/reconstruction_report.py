@@ -155,7 +155,7 @@ def _slides(result: Reconstruction, numbers: list[int]) -> tuple[list[Slide], fl
         )
         flow = _flow(frame)
         if flow is not None:
-            speeds.append(usual_length(flow))
+            speeds.append(usual_length(flow))  # 98th percentile, px
     depth_limits = {piece: _median_positive(values) for piece, values in limits.items()}
     flow_limit = _median_positive(speeds)
     pictures = Pictures(_MAX_PICTURES * len(numbers))

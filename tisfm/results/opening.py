@@ -22,9 +22,9 @@ def open_result(folder: Path) -> ResultFrames:
     Raises FileNotFoundError, NotADirectoryError if there is no such folder, or it has no result and
     no command writes to it.
 
-    Raises NotReadyError: a ValueError: if a command writes to the folder, and no frame is complete.
+    Raises NotReadyError, a ValueError, if a command writes to the folder, and no frame is complete.
 
-    Raises tisfm.formats.FormatError: a ValueError: if a file is damaged.
+    Raises tisfm.formats.FormatError, a ValueError, if a file is damaged.
     """
     if not folder.exists():
         raise FileNotFoundError(f"there is no folder {folder}")

@@ -59,6 +59,7 @@ class PairFrames:
     (2, (48, 64, 2))
     """
 
+    # ends of error messages: how to get depth, and how to get depth in another unit
     depth_advice = "run with --motion camera, or look at the statuses in run.json"
     unit_advice = "take the _depth16.png files of the run, which state a scale of their own"
     can_fuse = False
@@ -159,7 +160,7 @@ class PairFrames:
         return self._has_depth_cache[number]
 
     def scale(self, number: int) -> tuple[int, float]:
-        """Return group 0, and the mean inverse depth of a pair, or 1 if poses were given."""
+        """Return the group, always 0, and the scale: mean inverse depth, or 1 with given poses."""
         if self.has_one_scale:
             return 0, 1.0
         return 0, mean_inverse_depth(self.inverse_depth(number)) or 1.0
@@ -251,9 +252,10 @@ def _camera_of(record: dict[str, Any]) -> Camera:
 
 
 def _motion_of(pair: Any) -> tuple[NDArray[np.float64], float] | None:
-    """Return the motion of a pair, (4, 4), and the length of its translation over the twist's.
+    """Return the motion of a pair, (4, 4), and the length of its translation, or None.
 
-    The translation of a twist has length 1. The translation of a given pose has the unit of depth.
+    The twist, whose translation has length 1, gives the unit of this length. Only a given pose may
+    have another length: its translation has the unit of depth.
     """
     motions, twists = pair.get("motions"), pair.get("twists")
     if not motions or not twists:

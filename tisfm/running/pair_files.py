@@ -100,7 +100,7 @@ class PairFiles:
 
     folder: Path
     outputs: tuple[str, ...]  # the outputs of a pair: keys of `ENDINGS`
-    figures: int  # pairs per figure: the first of them has the figure; 0 for no figures
+    figures: int  # interval of pairs with a figure; 0 for no figures
     has_pose: bool  # whether interpretations have rigid motions
     # disparity, screen: parameters of anaglyphs: the disparity range as a share of the width, and
     # the quantile of depth at the screen plane, in the first pair with depth

@@ -53,7 +53,7 @@ class PairWriter:
         source: tuple[Camera, tuple[int, int]] | None = None,
         window: int = 2,  # number of frames of an interpretation
         outputs: Collection[str] = DEFAULT_OUTPUTS,  # the outputs of a pair: keys of `ENDINGS`
-        figures: int = 1,  # pairs per figure: the first of them has the figure; 0 for no figures
+        figures: int = 1,  # interval of pairs with a figure; 0 for no figures
         # disparity, screen: parameters of anaglyphs, as for `PairFiles`
         disparity: float = DISPARITY,
         screen: float | None = None,
@@ -140,10 +140,10 @@ class PairWriter:
         )
         self._record.finish(name, *entry_and_checksums)
 
-    def finish(self, name: str, arguments: Mapping[str, Any], checksums: Checksums) -> None:
-        """Record a pair as finished; another process wrote its files."""
+    def finish(self, name: str, entry: Mapping[str, Any], checksums: Checksums) -> None:
+        """Record a pair as finished, with its entry; another process wrote its files."""
         self._remove_report()
-        self._record.finish(name, arguments, checksums)
+        self._record.finish(name, entry, checksums)
 
     def begin(self) -> None:
         """Remove the files of an earlier run; the record is the last, since it names the files."""
@@ -193,7 +193,7 @@ class PairWriter:
 
     @property
     def times_note(self) -> str:
-        """The reason why a path cannot use the times of frames; "" if it can, or without times."""
+        """The reason why a camera path cannot use the times of frames; "" without such a reason."""
         return self._record.times_note()
 
     @property

@@ -80,7 +80,7 @@ class SequenceRun:
     resume: bool = False  # whether to keep finished pairs of an earlier run with the same options
     # the outputs of a pair: keys of `tisfm.folders.run_record.ENDINGS`
     outputs: Collection[str] = DEFAULT_OUTPUTS
-    figures: int = 1  # pairs per figure: the first of them has the figure; 0 for no figures
+    figures: int = 1  # interval of pairs with a figure; 0 for no figures
     # disparity, screen: parameters of anaglyphs, as for `PairWriter`
     disparity: float | None = None
     screen: float | None = None

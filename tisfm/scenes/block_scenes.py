@@ -30,7 +30,7 @@ _COS, _SIN = math.cos(math.radians(25)), math.sin(math.radians(25))
 _ROOM_AXES = np.array([[1.0, 0.0, 0.0], [0.0, _COS, -_SIN], [0.0, _SIN, _COS]])
 _CAMERA_HEIGHT = 2.6  # height of the camera above the floor, in the unit of the scene
 _WALL_DISTANCE = 9.0  # distance of the wall from the camera, in the unit of the scene
-_MIN_WAVELENGTH = 4.0  # px: shortest wave of a texture without detail, in an image of this width:
+_MIN_WAVELENGTH = 4.0  # px: shortest wave without octaves of detail, in an image of this width:
 _REFERENCE_WIDTH = 320  # px
 
 # A block: position on the floor (right, ahead) and edge lengths, in the unit of the scene; rotation

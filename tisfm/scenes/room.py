@@ -33,7 +33,7 @@ _TILE_PERIOD = 64  # tiles along each axis until their shades repeat
 FOCAL = 0.6
 """Default focal length as a share of the width."""
 
-_MIN_WAVELENGTH = 4.0  # px: shortest wave without detail, in an image of this width:
+_MIN_WAVELENGTH = 4.0  # px: shortest wave without octaves of detail, in an image of this width:
 _REFERENCE_WIDTH = 320  # px
 _SHUTTER_ROWS = 2  # rows that are rendered at one instant, with a rolling shutter
 _FLOOR_LABEL = 5  # smaller labels belong to the walls and the ceiling
@@ -409,7 +409,7 @@ def _furniture(motion: Floats, width: int, seed: int) -> list[Box]:
 
 
 def wavelength_at(depth: float) -> float:
-    """Return the shortest wavelength without detail at a depth, both m, for any image size."""
+    """Return the shortest wavelength, m, of a texture at a depth, m, without octaves of detail."""
     return _MIN_WAVELENGTH * depth / _REFERENCE_WIDTH / FOCAL
 
 

@@ -112,7 +112,8 @@ def anaglyph(
 ) -> NDArray[np.uint8]:
     """Make a picture for red-cyan glasses from one picture and its depth.
 
-    The picture is the view of the left eye; `stereo_view` makes the view of the right eye.
+    The picture is the view of the left eye. `stereo_view` makes the view of the right eye, and cuts
+    the same border off both views.
 
     Parameters
     ----------

@@ -69,8 +69,8 @@ class DataTerm:
         self._frame1 = grid.place(frame1)
         self._spline1 = grid.place(spline1, vectors=True)
         # lane array, 1 component, halo `IMAGE_HALO`: frame 0
-        self.lanes0 = grid.allocate(1, halo=IMAGE_HALO, zeros=False)
-        self._lanes1 = grid.allocate(1, halo=IMAGE_HALO, zeros=False)
+        self.frame0 = grid.allocate(1, halo=IMAGE_HALO, zeros=False)
+        self._warped1 = grid.allocate(1, halo=IMAGE_HALO, zeros=False)
         self._derivatives = grid.allocate(3, halo=DERIVATIVE_HALO, zeros=False)
         # lane array, 1 component: 1 at a used pixel that the flow of the last linearisation moves
         # to a point inside frame 1
@@ -78,7 +78,7 @@ class DataTerm:
         # lane array, 3 components for each constraint: (p, q, c)
         # (`tisfm.kernels.data.constraints`); each linearisation overwrites them
         self.constraints = grid.allocate(3 * constancy.count, zeros=False)
-        image_to_lanes(grid, frame0, self.lanes0)
+        image_to_lanes(grid, frame0, self.frame0)
         self._weights = None if valid is None else _PairWeights(grid, *valid)
 
     @property
@@ -98,19 +98,19 @@ class DataTerm:
         grid = self.grid
         weight_launches = [] if self._weights is None else [self._weights.bind(flow, self.mask)]
         return join_launches(
-            warp.bind(grid, self._frame1, self._spline1, flow, self._lanes1, self.mask),
+            warp.bind(grid, self._frame1, self._spline1, flow, self._warped1, self.mask),
             *weight_launches,
             self.bind_constraints(
-                self.lanes0, self._lanes1, self._derivatives, flow, self.mask, self.constraints,
+                self.frame0, self._warped1, self._derivatives, flow, self.mask, self.constraints,
                 tensor,
             ),
         )  # fmt: skip
 
     def bind_constraints(
         self,
-        # lanes0, lanes1: lane arrays, 1 component, halo `IMAGE_HALO`: two aligned frames
-        lanes0: LaneData,
-        lanes1: LaneData,
+        # frame0, frame1: lane arrays, 1 component, halo `IMAGE_HALO`: aligned frames
+        frame0: LaneData,
+        frame1: LaneData,
         # lane array, 3 components, halo `DERIVATIVE_HALO`; overwritten
         frame_derivatives: LaneData,
         flow: LaneData,
@@ -121,7 +121,7 @@ class DataTerm:
         """Return a function that writes the constraints of two frames that a flow has aligned."""
         grid, constancy = self.grid, self.constancy
         return join_launches(
-            derivatives.bind(grid, lanes0, lanes1, frame_derivatives, scheme=constancy.derivatives),
+            derivatives.bind(grid, frame0, frame1, frame_derivatives, scheme=constancy.derivatives),
             constancy_constraints.bind(
                 grid,
                 frame_derivatives,

@@ -21,9 +21,11 @@ from tisfm.solver.smoothness import Smoothness
 from tisfm.solver.unknowns import Unknowns
 
 MIN_ITERATIONS = 2  # the first iteration spreads data over short distances only
-TRANSLATION_COMPONENTS = 3  # unknowns of the smallest model that has motions without image motion
+# unknowns of the translation model, the smallest model with fields of ρ̂ whose flow is 0
+TRANSLATION_COMPONENTS = 3
 MIN_CONFIRMATIONS = 2  # consecutive iterations whose estimate of the remaining error must be small
-MIN_CONTRACTION = 2 / 3  # assumed ratio of successive errors, at least: changes may shrink faster
+# smallest assumed ratio of successive errors: for a while, changes may shrink faster than errors
+MIN_CONTRACTION = 2 / 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,8 +155,8 @@ class HalfQuadratic:
 
     def _set_system(self, system: LinearSystem) -> None:
         """Store a system and bind the functions that every iteration runs."""
-        # Its weights are g·b of every edge; its tensor is the weighted sum of the data terms, or
-        # with one unknown the weighted sum of the constraints along a line.
+        # Its weights are g·b of every edge; its tensor is the weighted sum of the data terms. With
+        # one unknown, a pixel moves along its epipolar line only, and q is 0 in all constraints.
         self.system = system
         self._multigrid: Multigrid | None = None
         self._update: Callable[[], Sums] = system.bind_weight_update(

@@ -24,7 +24,7 @@ class Smoothness:
     contrast: float  # δ, px/frame; infinite for quadratic smoothness
     stiffness: tuple[float, ...]  # s_k of each unknown
     joint: bool  # whether all unknowns share the weight of an edge
-    image_edges: float  # κ of the image-driven factor; 0 for g = 1
+    image_edges: float  # κ, the strength of the image-driven factor; 0 for g = 1
 
 
 def mean_step(frame: np.ndarray, valid: np.ndarray | None = None) -> float:

@@ -19,8 +19,9 @@ from tisfm.solver.data_term import DataTerm
 class ThreeFrameData:
     """The constraints of a pair, joined with the constraints of the previous frame.
 
-    If w is the flow to the next frame, the flow to the previous frame is bend − w. A constraint on
-    the flow to the previous frame is therefore a constraint on w, and no unknowns are added.
+    Let w be the flow to the next frame, and the bend the sum of the flows to the next and to the
+    previous frame. Then the flow to the previous frame is bend − w. A constraint on this flow is
+    therefore a constraint on w, and no unknowns are added.
     """
 
     def __init__(
@@ -31,8 +32,7 @@ class ThreeFrameData:
         previous: np.ndarray,
         # ((H + 3)·W, 4) float32: `tisfm.solver.sampling.spline_taps` of the previous frame
         taps: np.ndarray,
-        # (2, H, W) float32: sum of the flows to the next and to the previous frame, px/frame
-        bend: np.ndarray,
+        bend: np.ndarray,  # (2, H, W) float32: px/frame
         # two (H, W) float32, in [0, 1]: visibility of each pixel in the next frame, and in the
         # previous frame
         trust: tuple[np.ndarray, np.ndarray],
@@ -40,7 +40,7 @@ class ThreeFrameData:
         grid = data_term.grid
         self._pair = data_term
         self._frame, self._taps = grid.place(previous), grid.place(taps, vectors=True)
-        self._lanes = grid.allocate(1, halo=IMAGE_HALO, zeros=False)
+        self._warped = grid.allocate(1, halo=IMAGE_HALO, zeros=False)
         self._derivatives = grid.allocate(3, halo=DERIVATIVE_HALO, zeros=False)
         self._mask = grid.allocate(1, zeros=False)
         self._constraints = grid.allocate(3 * data_term.constancy.count, zeros=False)
@@ -63,10 +63,11 @@ class ThreeFrameData:
         return join_launches(
             pair.bind_linearise(flow),
             backward_flow.bind(grid, flow, self._bend, self._flow),
-            warp.bind(grid, self._frame, self._taps, self._flow, self._lanes, self._mask),
-            # Time runs from the previous to this frame, so I_t has the sign of a forward flow.
+            warp.bind(grid, self._frame, self._taps, self._flow, self._warped, self._mask),
+            # The previous frame takes the part of frame 0 here, since it is earlier: so I_t has the
+            # sign that belongs to w.
             pair.bind_constraints(
-                self._lanes, pair.lanes0, self._derivatives, flow, self._mask, self._constraints
+                self._warped, pair.frame0, self._derivatives, flow, self._mask, self._constraints
             ),
             join_constraints.bind(
                 grid,

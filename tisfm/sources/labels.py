@@ -140,8 +140,8 @@ class LabelReader:
         self,
         index: int,
         name: str,  # name of the frame in messages
-        # (H, W[, 3]) of the frame before and after cropping and shrinking: labels may have both
-        # sizes
+        # (H, W[, 3]) of the frame before and after cropping and shrinking: labels may have either
+        # size
         shapes: Sequence[tuple[int, ...]],
     ) -> np.ndarray | None:
         """Return the labels of frame `index`, (H, W) uint8; None for a frame without labels.

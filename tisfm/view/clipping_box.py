@@ -84,7 +84,7 @@ class ClippingBox:
         if not self._handles:
             self._handles = [self._make_handle(k) for k in range(2)]
         for k, (handle, corner) in enumerate(zip(self._handles, self._corners, strict=True)):
-            # A handle that is being dragged is already ahead of the number field.
+            # If a drag set the corner, its handle is there already, or farther along the drag.
             if tuple(corner.value) != self._drag_positions[k]:
                 handle.position = corner.value
 

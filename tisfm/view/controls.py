@@ -71,7 +71,7 @@ class Controls:
         )  # fmt: skip
 
 
-def features_of(result: ResultFrames) -> tuple[object, ...]:
+def control_features(result: ResultFrames) -> tuple[object, ...]:
     """Return the features of a result that determine the controls of the page."""
     return result.quantities, result.has_one_scale, result.can_fuse, bool(result.objects)
 

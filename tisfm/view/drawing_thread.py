@@ -79,7 +79,8 @@ class DrawingThread:
         self,
         page: DrawnPage,
         *,
-        # time, s, in which only the first coarse picture is drawn, unless a browser connects
+        # s: for this time after the start, only a coarse first picture is drawn, unless a browser
+        # connects
         browser_wait: float,
     ) -> None:
         self._page, self._browser_wait = page, browser_wait

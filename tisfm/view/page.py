@@ -21,7 +21,7 @@ from tisfm.view.colors import (
     ranges_of,
     sample_frames,
 )
-from tisfm.view.controls import ANY_DEVIATION, build_controls, copy_settings, features_of
+from tisfm.view.controls import ANY_DEVIATION, build_controls, control_features, copy_settings
 from tisfm.view.downloads import notify, save_film, save_screenshot, save_static
 from tisfm.view.drawing_thread import DrawingThread, Playback
 from tisfm.view.frame_cloud import FrameCloud, PointFilter, frame_cloud
@@ -60,7 +60,8 @@ class ViewerPage:
         number: int = 0,  # frame that is shown first
         max_points: int = 200_000,  # initial limit of the points of a frame
         max_bytes: int = MAX_CACHE_BYTES,  # limit of the frames in memory
-        # time, s, in which only the first coarse picture is drawn, unless a browser connects
+        # s: for this time after the start, only a coarse first picture is drawn, unless a browser
+        # connects
         browser_wait: float = 0.0,
         # a running server to take over, in place of one at `host` and `port`
         server: "ViserServer | None" = None,
@@ -210,7 +211,7 @@ class ViewerPage:
             return
         names = self.result.names
         number = names.index(name) if name in names else 0
-        if change == "replaced" or features_of(self.result) != self._features:
+        if change == "replaced" or control_features(self.result) != self._control_features:
             self._replace_result(number)
             return
         self._set_last_frame()
@@ -229,7 +230,7 @@ class ViewerPage:
         self.fused = FusedLayer(
             self.controls, self.scene, self.result, lambda job: self.thread.put(job, redraw=True)
         )
-        self._features = features_of(self.result)
+        self._control_features = control_features(self.result)
         self._connect_controls()
 
     def _show_first(self, number: int) -> None:
@@ -253,7 +254,7 @@ class ViewerPage:
         self.fused.clear()
         self.marks.clear_measured_points()
         self.number, self._drawn_path = -1, None
-        if features_of(self.result) != self._features:
+        if control_features(self.result) != self._control_features:
             earlier, pixel = self.controls, self.marks.pixel
             self.box.remove_handles()
             with self.server.atomic():

@@ -32,7 +32,7 @@ def static_page(
     points: PointFilter,  # selects the points of a frame
     max_frames: int,  # limit of the frames; a longer result is sampled evenly
     frames_per_second: float,
-    size: float = 1.2,  # of points, over their distance
+    size: float = 1.2,  # size of points; 1 if neighbours touch at the median depth
 ) -> StaticPage:
     """Return an HTML file with points, frusta and paths of frames, which any browser plays.
 

@@ -10,7 +10,7 @@ from tisfm.results.frame import ResultFrame
 # Set by hand.
 FOV = 0.9  # vertical field of view of browsers, rad
 USUAL_ASPECT = 0.85  # width over height of a browser's view between its panels
-# of the view in the axes of the camera: it comes from above, at the right
+# direction in which a browser looks, in the axes of the camera: from above, at the right
 _VIEW_DIRECTION = (-0.13, 0.22, 1.0)
 _MAX_DEPTH = 2.0  # in median depths: farther points may be outside the view
 _MIN_DISTANCE = 0.5  # from the viewpoint to the camera, in median depths
@@ -82,7 +82,7 @@ def _sample(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _centered_eye(points: NDArray[np.float64], axis: int, depth: float) -> tuple[float, float]:
-    """Return the coordinate of a centred eye at a depth, and the largest slope of a point."""
+    """Return the coordinate of an eye that sees the points centred, and their largest slope."""
     values, distance = points[:, axis], np.maximum(points[:, 2] - depth, 1e-9)
     low, high = float(values.min()), float(values.max())
     for _ in range(_HALVINGS):

@@ -75,10 +75,10 @@ def objects_estimate(
     labels = rank[labels]
     # Next to objects with reliable depth, rough depth of the background is left out.
     is_rough = start.status is not None or (len(order) > 1 and start.doubt == "uncertain")
-    hidden_label = int(rank[0]) if is_rough and areas[0] else None
+    depthless_label = int(rank[0]) if is_rough and areas[0] else None
 
     def estimate_solution(solution: RigidSolution) -> Estimate:
-        return make_estimate(solution, labels, camera, settings, hidden_label=hidden_label)
+        return make_estimate(solution, labels, camera, settings, depthless_label=depthless_label)
 
     solution, estimate = restore_diverged_depth(
         pyramid,
@@ -93,7 +93,7 @@ def objects_estimate(
         expected_flow,
         estimate_solution,
     )
-    if hidden_label != 0:
+    if depthless_label != 0:
         carried_solution = carry_background_depth(
             pyramid, settings, solution, labels, motions[order[0]]
         )

@@ -48,7 +48,7 @@ class Span:
     count: int  # number of frames
 
     def slice_in(self, frames: range) -> slice:
-        """Return the slice of the chunk in the numbers of the selected frames."""
+        """Return the slice of the numbers of all selected frames that the chunk covers."""
         begin = frames.index(self.start)
         return slice(begin, begin + self.count)
 
@@ -92,14 +92,14 @@ class Chunk:
     folder: Path  # output folder of the chunk, an absolute path
     source: Source  # absolute paths of the source
     span: Span  # the frames of the chunk
-    # further arguments of `tisfm.reconstruct` that select frames and their parts
-    frames: Mapping[str, Any]
+    # keyword arguments of `tisfm.reconstruct` for reading frames: step, size, crop, and others
+    frame_arguments: Mapping[str, Any]
     camera: Camera | Path | None
     calibrate: Calibrate
     settings: Settings
     # (N, 4, 4) float64, or None: poses of the frames, if given
     poses: np.ndarray | None = field(repr=False, default=None)
-    depth_of: DepthOf = "all"
+    depth_of: DepthOf = "all"  # the frames that get depth
     request_digest: str  # digest of the request of the whole sequence
     listing: Listing  # the files of the frames, as the parent process sees them
     stop: int | None = None  # number of the first frame of the source after the selection
@@ -197,7 +197,7 @@ def _reconstruct(chunk: Chunk) -> None:
             stop=chunk.span.stop,
             folder=chunk.folder,
             progress=lambda stage, done, total: _check_parent(chunk),
-            **chunk.frames,
+            **chunk.frame_arguments,
         )
     record = {"digest": chunk.digest, "files": files_below(chunk.folder)}
     with atomic_write(chunk.completion_file, durable=True) as file:

@@ -169,7 +169,7 @@ class ChunkedRun:
                 folder=self.folder / CHUNKS / f"{number:03d}",
                 source=source,
                 span=span,
-                frames={
+                frame_arguments={
                     "step": step, "size": size, "crop": crop, "bad_frames": bad_frames,
                     "mask": None if mask is None else os.path.abspath(mask),
                 },

@@ -53,7 +53,7 @@ class PreparedFrames:
         cache: Path,  # folder for grey levels; it may be deleted after the reconstruction
         pictures: Path,  # folder for pictures, (H, W[, 3]) with 8 bits
         *,
-        are_labels_prepared: bool = False,  # whether labels already belong to prepared frames
+        are_labels_prepared: bool = False,  # whether labels fit these frames without resampling
     ) -> None:
         self.camera = camera.pinhole()  # the pinhole of the prepared frames
         self.shape = (0, 0)  # height and width, px; (0, 0) before the first frame

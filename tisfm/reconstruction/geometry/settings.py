@@ -16,7 +16,8 @@ class GeometrySettings:
     outlier_scale: float = 2.0  # error with half the weight, divided by the median error
     # sim3_graph
     max_rounds: int = 20  # Gauss–Newton rounds
-    # error of an uncertain edge beyond which its weight decreases, in the first round
+    # root mean square error of an edge's points, in the first round: beyond it, an edge that may be
+    # wrong, such as a closed loop, has a decreasing weight
     first_outlier_error: float = 1.0
     outlier_error_factor: float = 0.6  # factor of this error from round to round
     last_outlier_error: float = 0.02  # the smallest value of this error

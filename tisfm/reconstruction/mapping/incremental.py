@@ -263,7 +263,7 @@ def _add_views(
     rough_rounds, first_rounds, later_rounds = MAPPING.growth_rounds
     if is_rough:
         adjust_all(rough_rounds, MAPPING.final_limits, MAPPING.rough_outlier_pixels)
-    views, points = adjust_all(first_rounds, MAPPING.growing_limits)
+    views, points = adjust_all(first_rounds, MAPPING.growth_limits)
     if points == 0:
         return
     while True:
@@ -288,8 +288,8 @@ def _add_views(
             counts[0] >= MAPPING.growth_factor * views
             or counts[1] >= MAPPING.growth_factor * points
         ):
-            views, points = adjust_all(later_rounds, MAPPING.growing_limits)
-    adjust_all(later_rounds, MAPPING.growing_limits)
+            views, points = adjust_all(later_rounds, MAPPING.growth_limits)
+    adjust_all(later_rounds, MAPPING.growth_limits)
     adjust_all(later_rounds, MAPPING.final_limits)
 
 

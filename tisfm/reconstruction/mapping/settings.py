@@ -10,8 +10,8 @@ class MappingSettings:
     # database
     # observations that two views share, or points of a model that a new view shows
     min_observations: int = 15
-    min_shared_tracks: int = 20  # tracks that two views share, if their tracks become matches
-    # distances, in views, between the two views of pairs whose tracks become matches
+    min_shared_tracks: int = 20  # tracks that two views share: fewer shared tracks give no matches
+    # distances, in views, between two views whose shared tracks give matches
     view_steps: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 12, 16)
     # incremental: poses of views
     # share of inliers among a new view's observations of points of the model
@@ -23,13 +23,13 @@ class MappingSettings:
     rough_outlier_pixels: float = 3.0  # px: the same bound in the first adjustment from rough poses
     # growth of the number of views or points after which all views are adjusted
     growth_factor: float = 1.5
-    # rounds of an adjustment of all views: from rough poses, at first, and later
+    # rounds of an adjustment of all views: of rough poses; of the first views; during the growth
     growth_rounds: tuple[int, int, int] = (3, 2, 1)
-    # share of the observations that a round changes: with a smaller share, the rounds end
+    # share of the observations that a round adds or deletes: after a smaller share the rounds end
     max_changed_share: float = 1e-3
-    # largest number of steps of a round; relative change of the squared residuals that ends the
-    # steps
-    growing_limits: tuple[int, float] = (10, 1e-4)
+    # while a model grows: largest number of steps of a round; relative change of the squared
+    # residuals that ends the steps
+    growth_limits: tuple[int, float] = (10, 1e-4)
     final_limits: tuple[int, float] = (50, 1e-5)  # the same limits, for the final rounds
     # relative change of the squared residuals that ends an adjustment of neighbouring views
     local_tolerance: float = 1e-5
@@ -55,20 +55,23 @@ class MappingSettings:
     min_homography_ratio: float = 1.5
     # residuals of a rotation with any focal length, divided by residuals of the motion
     min_rotation_ratio: float = 6.0
-    # share of pairs with parallax among the best pairs with a motion, for an estimated focal
-    # length. This share was 0.12 to 0.33 in three sequences where the camera rotated and hardly
-    # moved, 0 in noise, and 0.71 to 1 in 20 other sequences.
+    # share of pairs with parallax among the first pairs whose matches fit a motion, if the focal
+    # length is an estimate. This share was 0.12 to 0.33 in three sequences where the camera rotated
+    # and hardly moved, 0 in noise, and 0.71 to 1 in 20 other sequences.
     min_parallax_pairs: float = 0.4
     # incremental: choice of a model
-    min_mean_score: float = 0.65  # mean score per match of a right model
-    # score of the worst view of a right model, divided by the score of the median view. It was 0.84
-    # to 1 in right models (blurred: 0.67), and 0.53 in a bent model.
+    # mean score of a match, from 0 to 1 (`model_scores.MatchScorer`), in a right model
+    min_mean_score: float = 0.65
+    # mean score of a match in the worst view of a right model, divided by the median over all
+    # views. It was 0.84 to 1 in right models, 0.67 in a right model of blurred frames, and 0.53 in
+    # a bent model.
     min_worst_view_share: float = 0.8
     # relative difference of the scores of two models that confirm each other
     max_score_difference: float = 0.02
     small_model_views: int = 8  # views: smaller models are always built twice, which costs little
     max_first_pair_models: int = 3  # models that are built from different first pairs
-    # required distance between the first pairs of two models, as a share of the remaining views
+    # distance, in views, between the first pairs of two models, divided by the number of views that
+    # belong to no model
     min_pair_distance_share: float = 0.25
     max_pair_distance: int = 4  # views: the largest distance that is required
     # model_scores
@@ -87,8 +90,9 @@ class MappingSettings:
     rotation_steps: int = 12  # Gauss–Newton steps of the fit of a rotation and a focal length
     # rad, and logarithm of the focal length: a smaller step ends this fit
     min_rotation_step: float = 1e-5
-    # fitted focal length divided by the stated focal length. When the fit used a stated focal
-    # length with an error of 20 %, 7 of 8 rendered pure rotations seemed to show parallax.
+    # fitted focal length divided by the stated focal length. If only the rotation was fitted, and
+    # the stated focal length had an error of 20 %, 7 of 8 rendered pure rotations seemed to show
+    # parallax.
     min_focal_ratio: float = 0.5
     max_focal_ratio: float = 2.0  # largest value of the same ratio
     # distance between two views that show a point, divided by the median depth of one view

@@ -26,8 +26,8 @@ def refine_boundaries(labels: np.ndarray, motion: ImageMotion, frame: int) -> np
     is_near = np.stack([cv2.dilate(np.uint8(labels == k), window) > 0 for k in numbers])
     band = is_near.sum(axis=0) > 1
     differences = np.full((len(numbers), *labels.shape), np.inf, np.float32)
-    for chain in motion.chained_flows(frame, 1):
-        flow, other = chain.positions - grid, motion.grey(chain.frame)
+    for neighbour_flow in motion.chained_flows(frame, 1):  # to the next, then to the previous frame
+        flow, other = neighbour_flow.positions - grid, motion.grey(neighbour_flow.frame)
         for index, number in enumerate(numbers):
             mask = labels == number
             core = cv2.erode(np.uint8(mask), square) > 0
@@ -73,6 +73,8 @@ def propagate_labels(
     and image edges decide. The labels of hidden pixels are lost.
     """
     for index, frame in enumerate(labelled_frames):
+        # The first labelled frame has its mirror image at the start of the sequence as previous
+        # frame, the last its mirror image at the end: half of the distance reaches start or end.
         previous = labelled_frames[index - 1] if index else -frame - 1
         is_last = index + 1 == len(labelled_frames)
         following = 2 * len(motion) - frame if is_last else labelled_frames[index + 1]
@@ -87,9 +89,9 @@ def propagate_labels(
 def _propagate(motion: ImageMotion, frame: int, other: int, labels: np.ndarray) -> np.ndarray:
     """Return the labels of a frame, (H, W) int32, from the labels of a neighbour frame."""
     numbers = np.unique(labels)
-    chain = motion.chained_flow(frame, other)
-    coverage = np.stack([sample_image(np.float32(labels == k), chain.positions) for k in numbers])
-    costs = np.where(chain.valid, OBJECTS.propagation_cost * (1 - coverage), 0).astype(np.float32)
-    weight = np.where(chain.valid, OBJECTS.consistent_weight, OBJECTS.inconsistent_weight)
+    flow = motion.chained_flow(frame, other)
+    coverage = np.stack([sample_image(np.float32(labels == k), flow.positions) for k in numbers])
+    costs = np.where(flow.valid, OBJECTS.propagation_cost * (1 - coverage), 0).astype(np.float32)
+    weight = np.where(flow.valid, OBJECTS.consistent_weight, OBJECTS.inconsistent_weight)
     best = numbers[Potts(motion.grey(frame)).assign(costs, weight.astype(np.float32))]
     return refine_boundaries(best, motion, frame)

@@ -46,9 +46,9 @@ def find_object_scale(
         if not valid.any() or not np.isfinite(background).any():
             continue
         depth_map = np.where(object_pixels, depth.inverse_depth, background).astype(np.float32)
-        contact_factor = contact_scale(depth_map, labels, object_pixels & ~valid, object_id)
-        if contact_factor is not None:
-            contact_scales.append(1 / contact_factor)
+        depth_ratio = contact_scale(depth_map, labels, object_pixels & ~valid, object_id)
+        if depth_ratio is not None:  # inverse depth of the background over that of the object
+            contact_scales.append(1 / depth_ratio)
         window = np.ones((2 * OBJECTS.ring_width + 1,) * 2, np.uint8)
         ring = (cv2.dilate(np.uint8(object_pixels), window) > 0) & (labels == 0) & (background > 0)
         if ring.any():
@@ -85,7 +85,8 @@ def objects_with_depth(
     frames: PreparedFrames,  # with labels
     folder: Path,  # the folder of the depth files
     poses: np.ndarray,  # (N, 4, 4) array: camera to world; NaN for a frame without a pose
-    # (N,) int array: the piece of each frame; −1 for none. Objects get poses in the largest piece.
+    # (N,) int array: the piece of the camera path that has each frame; −1 for none. Objects get
+    # poses in the largest piece.
     piece: np.ndarray,
     settings: Settings,
     *,

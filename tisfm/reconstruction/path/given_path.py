@@ -22,7 +22,7 @@ def given_path(
     # Pinhole camera of the frames. An unknown readout counts as 0: it is not estimated.
     camera: Camera,
     times: Sequence[float | None],  # times of the frames, s; None if unknown
-    # (N,) array: times of the frames, in intervals between frames of the source
+    # (N,) array: `times` in intervals between frames of the source (`tisfm.shutter.frame_instants`)
     instants: np.ndarray,
 ) -> CameraPath:
     """Return the camera path for given poses, with triangulated points.
