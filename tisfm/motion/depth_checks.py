@@ -47,7 +47,7 @@ def _behind_status(estimate: Estimate, visible: np.ndarray) -> Status | None:
     if negative_count <= CHECKS.max_behind_share * np.count_nonzero(visible):
         return None
     inverse_depth = estimate.inverse_depth[sample][visible]
-    # This deviation does not contain the errors that all pixels share.
+    # This deviation does not contain the errors that many pixels have in common.
     deviation = estimate.inverse_depth_std[sample][visible] / np.float32(estimate.deviation_factor)
     min_depth = np.float32(CHECKS.min_behind_depth) * median(np.abs(inverse_depth))
     share = (

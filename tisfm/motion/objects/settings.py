@@ -15,13 +15,13 @@ class ObjectSettings:
     outside_window: int = 15  # px around a pixel outside frame 1, in which flow is unreliable
     # candidates
     candidate_pixels: int = 40_000  # pixels of the reduced flow; boundaries are refined later
-    error_residuals: float = 3.0  # assumed error of a flow, in residuals of the background
+    error_residuals: float = 3.0  # assumed error of a flow divided by the background's residual
     error_px: float = 0.02  # px: added to this error
-    unexplained_errors: float = 3.0  # assumed errors: root of the cost of an unexplained pixel
+    unexplained_errors: float = 3.0  # such errors: a pixel farther from a motion is unexplained
     min_object_share: float = 0.002  # share of the pixels that an object has
     min_explained_share: float = 0.3  # share of a candidate's pixels that its motion explains
-    # median distance of a part under its own motion over that under the common motion, for a part
-    # that gets its own motion
+    # median distance of a part from its own motion divided by its median distance from the common
+    # motion: with a smaller ratio, the part gets its own motion
     max_split_ratio: float = 0.6
     max_rotation: float = 0.2  # rad/frame: rotation of an object relative to the background
     min_label_weight: float = 0.02  # data weight of a pixel while labels are assigned
@@ -31,16 +31,20 @@ class ObjectSettings:
     joining_window: int = 9  # px: side of the window that joins parts
     # standard deviations between inverse depth and its upper and lower limits
     depth_deviations: float = 2.0
-    # inverse depth of a part over that around the part; hanging lamps and leaves have less
+    # inverse depth of a part divided by that around the part; hanging lamps and leaves have a
+    # smaller ratio
     min_nearness_ratio: float = 1.3
-    min_ground_ratio: float = 0.9  # inverse depth of the ground below a part over that around it
+    # inverse depth of the ground below a part divided by that around the part
+    min_ground_ratio: float = 0.9
     ground_rows: int = 3  # rows at the lower border that count as ground
-    min_surrounding_depth: float = 0.05  # inverse depth around a part over the median inverse depth
+    # inverse depth around a part divided by the median inverse depth
+    min_surrounding_depth: float = 0.05
     # label_optimisation
     message_rounds: int = 15  # rounds of belief propagation
     # layers; costs are in units, see `cost_unit`
     layer_window: int = 5  # px: window that averages residuals and erodes masks of layers
-    cost_unit: float = 3.0  # residual at which a pixel costs one unit, over the median residual
+    # residual at which a pixel costs one unit, divided by the median residual
+    cost_unit: float = 3.0
     max_layer_cost: float = 16.0  # units: largest cost of a pixel
     floating_margin: float = 0.02  # share of the longer side: margin around a floating part
     hidden_weight: float = 0.01  # weight of an occluded pixel
@@ -49,7 +53,7 @@ class ObjectSettings:
     max_support_change: float = 0.03
     # units: gain of a new object for each pixel of the smallest object
     min_object_gain: float = 0.3
-    # units: gain for each pixel of the layer; a motion spread over a background gains less
+    # units: gain for each pixel of the layer; a wrong motion, spread over a background, gains less
     min_pixel_gain: float = 0.2
     # boundaries
     max_boundary_shift: int = 4  # px by which a boundary may move
@@ -67,7 +71,7 @@ class ObjectSettings:
     image_edges: float = 0.25  # κ: how much a contour of the image lowers `boundary_cost`
     variation_window: int = 5  # px: side of the window whose variance is the texture of frame 0
     order_window: int = 31  # px: side of the window in which two surfaces have one depth order
-    global_order_pixels: float = 15.0  # weight of the order in the whole image in each window
+    global_order_pixels: float = 15.0  # pixels as which the mean of the image counts in a window
     brightness_window: int = 31  # px: side of the window with one change of brightness
     # depth
     # share of the longer side: median difference between a label's flow and its layer
