@@ -14,12 +14,13 @@ class CalibrationSettings:
     window_views: int = 16  # views in each of the two windows on which start values are compared
     final_steps: int = 150  # steps of the final adjustment
     final_tolerance: float = 1e-6  # relative change of the squared residuals that ends these steps
-    # observations of the points that the parts of a model use to estimate the uncertainty
+    # observations of points in each part of a model; the parts show how uncertain an estimate is
     max_part_observations: int = 6000
     # start value of the focal length of a part divided by the estimate, or the inverse ratio
     part_start_factor: float = 1.2
     # change of the focal length in the adjustment of a part, divided by the distance between start
-    # value and estimate (all as logarithms): a part with less change does not show the focal length
+    # value and estimate (all as logarithms): with a smaller change, a part does not show the focal
+    # length
     min_relative_change: float = 0.1
     # standard deviation of the estimate divided by the spread of the parts (as logarithms)
     spread_to_deviation: float = 0.7
@@ -27,8 +28,8 @@ class CalibrationSettings:
     # number and the standard deviation, the lens seems to distort
     min_log_focal_change: float = 0.03
     # source_camera
-    # relative standard deviation of an estimate: with a larger one, the focal length in the EXIF
-    # data is better
+    # relative standard deviation of an estimate: with a larger deviation, the focal length in the
+    # EXIF data is better
     max_exif_deviation: float = 0.1
 
 

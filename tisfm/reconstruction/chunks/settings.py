@@ -9,7 +9,7 @@ class ChunkSettings:
 
     # chunk
     max_overlap: int = 20  # frames that a chunk shares with the next chunk
-    overlap_divisor: int = 3  # a short chunk shares fewer frames: its length divided by this number
+    overlap_divisor: int = 3  # a short chunk shares its length divided by this number, in frames
     # overlaps: differences and standard deviations of scales refer to the logarithms of scales
     # relative standard deviation of depth; less certain depth is ignored
     max_depth_deviation: float = 0.25

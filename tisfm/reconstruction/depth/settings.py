@@ -14,8 +14,8 @@ class DepthSettings:
     # neighbour_frames
     parallax_grid: tuple[int, int] = (9, 12)  # rows and columns of image points
     full_parallax: float = 0.03  # image widths: more parallax does not improve a neighbour frame
-    max_parallax: float = 0.12  # image widths: with more parallax, windows look less and less alike
-    # mean gain over the grid points by one more frame; a newly shown point adds up to 1
+    max_parallax: float = 0.12  # image widths: with more parallax, windows differ too much
+    # mean gain of the grid points by one more frame; a point that becomes visible gains up to 1
     min_gain: float = 0.03
     # window_planes
     window_smoothing: float = 0.6  # px: standard deviation of the Gaussian on images
@@ -36,15 +36,15 @@ class DepthSettings:
     # cells: side of the square that gives a cell's certainty; matched windows have 11
     certainty_window: int = 5
     # Cells: standard deviation of D at which a match has half the weight. Chosen on rendered
-    # scenes: such matches have an error of 0.3 cells, and a tenth of them of 1 cell. More certain
-    # matches have an error of 0.1 cells, and a fiftieth of them of 1 cell.
+    # scenes: such matches have an error of 0.3 cells, and a tenth of them an error of 1 cell. More
+    # certain matches have an error of 0.1 cells, and a fiftieth of them an error of 1 cell.
     half_weight_match_deviation: float = 0.5
     # window_depth
     # largest number of cells of a keyframe; frames of 4:3 get 160×120, 320×240 and 640×480
     max_cells: tuple[int, int, int] = (2**15, 2**17, 2**19)
     # share of the cells: with fewer reliable matches, there is no depth
     min_matched_share: float = 0.01
-    # full weight of the data term of a frame, over the weight of a matched cell
+    # full weight of the data term of a frame, divided by the weight of a matched cell
     data_weight: float = 8.0
     # smallest share of a match's weight, where the data term has its full weight; the match loses
     # weight there, since both use the same images
@@ -53,11 +53,11 @@ class DepthSettings:
     # pairs, since matches are more certain. A larger number smooths a floor into the walls.
     slope_scale: float = 0.0009
     image_edges: float = 10.0  # weight of image edges in the smoothness
-    # grey variance over noise variance, for half the weight of the data term
+    # grey variance divided by the variance of the noise, where the data term has half the weight
     data_texture: float = 1000.0
     warps: int = 3
     iterations: int = 1  # iterations of each warp
-    max_depth_factor: float = 2.0  # largest propagated depth over the largest matched depth
+    max_depth_factor: float = 2.0  # largest propagated depth divided by the largest matched depth
     # share of the matched cells, with the largest depth, that this limit ignores
     ignored_far_share: float = 0.01
     # The deviation of D, cells, is the root of the sum of the squares of four parts. The actual
@@ -69,7 +69,7 @@ class DepthSettings:
     deviation_per_pixel: float = 0.002  # part from propagation: cells per px of propagation
     # part from matches: share of the difference between nearby matches and D
     difference_share: float = 0.8
-    match_scatter: float = 0.2  # cells: usual scatter of matches; smaller differences count little
+    match_scatter: float = 0.2  # cells: usual noise of matches; smaller differences count little
     # cells: sides of the window that averages residuals and differences
     averaging_window: tuple[int, int] = (15, 15)
     # segment_depth
@@ -83,14 +83,14 @@ class DepthSettings:
     max_window_frames: int = 24
     max_frame_distance: int = 40  # frames between a keyframe and its neighbour frames
     max_neighbours: tuple[int, int, int] = (3, 4, 6)  # neighbour frames of a keyframe
-    # standard deviation of depth over its difference from neighbour keyframes
+    # standard deviation of depth divided by its difference from neighbour keyframes
     deviation_per_difference: float = 1.75
     # view_fusion: differences and steps are shares of the inverse depth
     max_difference: float = 0.1  # difference of two rendered surfaces that are one surface
     max_smooth_step: float = 0.05  # step between neighbour pixels on one surface
     difference_window: float = 0.05  # longer sides: window in which differences are averaged
     difference_limit: float = 0.5  # limit of the difference at a single pixel
-    # weight of the median of all differences, over the weight of a full window
+    # weight of the median of all differences, divided by the weight of a full window
     median_weight: float = 0.02
     # standard deviation in a filled hole, as a share of the inverse depth
     filled_deviation: float = 0.5
@@ -102,10 +102,10 @@ class DepthSettings:
     # pose_adjustment
     max_adjustment_pixels: int = 2**17  # pixels of the pyramid level on which images are compared
     adjustment_smoothing: float = 0.6  # px: standard deviation of the Gaussian on images
-    # grey variance over the variance of the noise, at which a pixel has half the weight
+    # grey variance divided by the variance of the noise, at which a pixel has half the weight
     adjustment_texture: float = 50.0
     texture_window: int = 11  # px: side of the window of this variance
-    # residual with a quarter of the weight, over the root of the median square
+    # residual with a quarter of the weight, divided by the root of the median square
     outlier_scale: float = 3.0
     # relative standard deviation of depth at which a pixel has half the weight
     half_weight_deviation: float = 0.05

@@ -8,10 +8,10 @@ class FrameFlowSettings:
     """Image motion between frames."""
 
     # image_motion
-    min_pixels: int = 2**16  # pixels of a frame that is shrunk
+    min_pixels: int = 2**16  # frames are shrunk, but keep at least this number of pixels
     # px: distance of a pixel from its start after forward and backward motion
     max_return_error: float = 0.5
-    # added to this bound, as a share of the length of the forward motion
+    # addition to this bound, divided by the length of the forward motion
     max_relative_return_error: float = 0.05
 
 

@@ -25,22 +25,24 @@ class ObjectSettings:
     # share of a frame's evidence that is passed on to the next frame
     passed_evidence_share: float = 0.8
     comparison_window: int = 5  # px: side of the window in which images are compared
-    # grey levels: evidence of motion has its full weight if a pixel matches exactly where it moves
-    # and differs by this much at every static position
+    # grey levels: evidence of motion has its full weight if a pixel matches exactly at its moved
+    # position, and differs by this number at every static position
     full_evidence_difference: float = 4.0
     min_support: float = 0.05  # factor of evidence of motion that grey levels do not support
-    # largest inverse depth of a static position that is tried, over the largest inverse depth of
-    # clearly static pixels
+    # largest inverse depth of a static position that is tried, divided by the largest inverse depth
+    # of clearly static pixels
     max_inverse_depth_factor: float = 3.0
     static_position_step: float = 2.0  # px between two static positions that are tried
     # smallest and largest number of static positions that are tried
     static_position_range: tuple[int, int] = (8, 32)
-    min_depth_ratio: float = 0.05  # depth of a point in another frame over its depth in this frame
+    # depth of a point in another frame divided by its depth in this frame
+    min_depth_ratio: float = 0.05
     # path_evidence
     # frames before and after in which one depth has to fit
     path_steps: tuple[int, ...] = (1, 2, 3, 5, 8)
     depth_rounds: int = 3  # reweighted rounds of the robust fit of depth
-    outlier_error: float = 3.0  # px per root of the frame distance: an error with half the weight
+    # px: error with half the weight, divided by the root of the distance in frames
+    outlier_error: float = 3.0
     # standard deviation of static points from a usable camera path, as a share of the longer side
     max_path_error: float = 1.5e-3
     # sequence_labels
@@ -48,55 +50,58 @@ class ObjectSettings:
     min_ground_share: float = 0.03  # share of the pixels that show the ground
     max_roll_slope: float = 0.15  # tangent of the roll of an upright camera above the ground
     max_pitch_slope: float = 0.4  # tangent of the pitch of an upright camera above the ground
-    ground_tolerance: float = 0.07  # share of the inverse depth that a pixel may be off the ground
+    # largest difference of a ground pixel from the plane, as a share of its inverse depth
+    ground_tolerance: float = 0.07
     ground_trials: int = 300  # random planes in the robust fit of the ground
     ground_sample: int = 4000  # pixels on which these planes are compared
     ground_rounds: int = 3  # least-squares rounds after the trials
-    # range of the camera's height above the ground in nearby frames, over the height: a vehicle
-    # keeps its height
+    # range of the camera's height above the ground in nearby frames, divided by the height: a
+    # camera on a vehicle keeps its height
     max_height_change: float = 0.3
     height_frames: int = 10  # frames before and after with which this height is compared
     min_ground_frame_share: float = 0.5  # share of these frames that need a ground plane
-    # depth of a pixel below the ground over the depth of the ground
+    # depth of a pixel below the ground divided by the depth of the ground
     min_below_ground_ratio: float = 1.3
-    # inverse depth of the ground that is searched for objects, over the largest one in the frame
+    # inverse depth of the ground that is searched for objects, divided by the largest inverse depth
+    # in the frame
     min_ground_inverse_depth: float = 0.2
     hidden_steps: tuple[int, ...] = (3, 5, 8)  # frames before and after whose points may be hidden
     min_hidden_difference: float = 12.0  # grey levels, mean, at the position of a hidden point
-    min_hidden_points: float = 1.0  # static points that an object hides, over its size
+    min_hidden_points: float = 1.0  # static points that an object hides, divided by its size
     # moving_regions
     region_evidence: float = -0.3  # mean evidence at the boundary of a moving region
     core_evidence: float = 0.3  # mean evidence in the core of a region, which a new object needs
     min_core_weight: float = 1.5  # frames: weight of the evidence of a pixel in the core
-    min_core_ratio: float = 0.25  # pixels of a core over the pixels of the smallest object
-    min_core_share: float = 0.15  # pixels of a core over the pixels of its region
+    min_core_ratio: float = 0.25  # pixels of a core divided by the pixels of the smallest object
+    min_core_share: float = 0.15  # pixels of a core divided by the pixels of its region
     known_object_bonus: float = 0.4  # mean evidence that is added where a known object is expected
     full_weight_frames: float = 4.0  # frames: weight of the evidence with the full data weight
     max_data_weight: float = 0.5  # full data weight
-    min_data_share: float = 0.02  # data weight without evidence, over the full data weight
+    min_data_share: float = 0.02  # data weight without evidence, divided by the full data weight
     min_motion_pixels: int = 30  # pixels that the fit of a smooth motion needs
     min_quadratic_pixels: int = 400  # pixels that the fit of a quadratic motion needs
-    # px/frame from the expected velocity: a pixel with a quarter of the weight in the first round
+    # px/frame: difference of a pixel with a quarter of the weight, in the first round, from the
+    # expected velocity
     velocity_tolerance: float = 1.0
     min_motion_deviation: float = 0.2  # px: standard deviation from a smooth motion
     # identities
-    # share of a region with the label of an object that it may show
+    # share of a region's pixels with the propagated label of an object, which the region may show
     min_propagated_share: float = 0.1
     min_reappeared_share: float = 0.2  # visible share of an occluded object that is recognised
     histogram_bins: int = 16  # bins of a histogram of grey levels
-    search_margin: float = 0.1  # margin around the predicted mask of an object, over its size
+    search_margin: float = 0.1  # margin around an object's predicted mask, divided by its size
     min_quadratic_visible_share: float = 0.5  # visible share of an object, for a quadratic motion
     # visible share of an object, for an affine motion; with a smaller share, a velocity is fitted
     min_affine_visible_share: float = 0.15
     max_motion_deviations: float = 4.0  # standard deviations of an object's pixel from its motion
-    # median error of a new object's pixels from the motion fitted to them, over their median error
-    # from the nearest known motion
+    # median error of a new object's pixels under the motion fitted to them, divided by their median
+    # error under the nearest known motion
     max_new_error_ratio: float = 0.5
     max_motion_error: float = 1e3  # px: limit of the errors of a motion
-    # share of a pixel's smallest error: where no motion fits, a smaller difference between the
-    # errors of two motions hardly counts
+    # share of a pixel's smallest error: a smaller difference between the errors of two motions
+    # hardly counts where no motion fits
     relative_error_tolerance: float = 0.5
-    # largest cost of a motion: its squared error over the squared usual error
+    # largest cost of a motion: its squared error divided by the squared usual error
     max_motion_cost: float = 16.0
     # cost of a label other than the propagated label, in the same unit
     identity_change_cost: float = 2.0
@@ -105,7 +110,7 @@ class ObjectSettings:
     # tracked_objects
     max_occlusion: int = 15  # frames for which an occluded object keeps its id
     min_histogram_overlap: float = 0.6  # overlap of two histograms of the same object, 0 to 1
-    # distance of a reappeared object from its predicted position, over its size
+    # distance of a reappeared object from its predicted position, divided by its size
     max_reappearance_distance: float = 1.5
     distance_growth: float = 0.1  # relative growth of this limit with each occluded frame
     min_object_frames: int = 4  # frames that show an object

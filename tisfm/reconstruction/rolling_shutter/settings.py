@@ -13,12 +13,12 @@ class RollingShutterSettings:
     max_rounds: int = 4  # rounds that estimate the readout time, then the path
     known_rounds: int = 2  # rounds if the readout time is known
     min_change: float = 0.02  # a smaller change of the readout time ends the rounds
-    # change of the readout time divided by the previous change. A path found with too small a
-    # readout time hides a part of the remaining readout, so the next round finds a further change.
+    # change of the readout time divided by its previous change. A path that was estimated with too
+    # short a readout time explains a part of the readout, so the next round finds a further change.
     max_hidden_share: float = 0.6
     # readout
     min_views: int = 3  # views that show a point
-    max_views: int = 60  # consecutive views in use: the camera rotates most in these views
+    max_views: int = 60  # consecutive views in use: those where the camera rotates most
     max_observations: int = 8000  # observations in use: points that most views show come first
     # px: larger residuals have a decreasing weight; for the first and for the last steps
     outlier_scales: tuple[float, float] = (3.0, 1.0)

@@ -13,12 +13,13 @@ class TrackSettings:
     codebook_rounds: int = 8  # rounds of this clustering
     max_candidates: int = 3  # earlier views that a view is matched with
     min_candidate_distance: int = 3  # views between two of these candidates
-    min_described_points: int = 30  # points with descriptors: a view with fewer is not matched
+    min_described_points: int = 30  # points with descriptors of a view that is matched
     # similarity of two views that are matched, divided by the median similarity of neighbouring
     # views
     min_similarity: float = 0.4
     # sequence_tracks
-    min_views: int = 3  # if fewer views are selected, views with less motion between them are used
+    # selected views: with fewer views, views with less motion between them are selected
+    min_views: int = 3
     # median motion of tracks between these closer views, as a share of the frame's longer side
     min_close_motion: float = 0.0125
     # tracker
@@ -60,7 +61,7 @@ class TrackSettings:
     min_matches: int = 15  # matches of two neighbouring views
     min_loop_matches: int = 25  # matches that one motion explains, of two views at a loop
     min_loop_share: float = 0.4  # share of these matches among all matches of the two views
-    min_ordered_views: int = 8  # views: with fewer, the order of frames is not checked
+    min_ordered_views: int = 8  # views: with fewer views, the order of frames is not checked
     # Frames are out of order if less than this share of views matches the previous view, and more
     # than `min_other_share` of the views match other views.
     max_next_share: float = 0.4
