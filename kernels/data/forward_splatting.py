@@ -6,7 +6,7 @@ import taichi as ti
 from tisfm.kernels.layout.lanes import CHUNK, check_array, first_row
 from tisfm.kernels.layout.launch import Kernel
 
-# rows: a band has at least as many. The threads of two neighbouring bands both read the rows near
+# smallest number of rows of a band. The threads of two neighbouring bands both read the rows near
 # the border between them, so bands must be large.
 MIN_BAND_ROWS = 96
 BLOCK = 64  # px: part of a row that a thread processes at a time

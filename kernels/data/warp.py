@@ -22,7 +22,7 @@ from tisfm.kernels.layout.lanes import (
 )
 from tisfm.kernels.layout.launch import Launch, operation
 
-WARP_BAND = 16  # rows: a band has corner least as many
+WARP_BAND = 16  # smallest number of rows of a band
 
 
 @operation
@@ -39,7 +39,7 @@ def warp(
     # image and in the padding
     mask: LaneData,
 ) -> Launch:
-    """Sample an image corner x + flow by its cubic B-spline.
+    """Sample an image at x + flow by its cubic B-spline.
 
     Sampling is smooth and fourth-order accurate. At whole pixels the image value itself is taken,
     so zero flow returns exactly the image. The border of the image is repeated.

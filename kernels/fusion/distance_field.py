@@ -24,8 +24,8 @@ VOXELS = BLOCK_EDGE**3
 CORNERS = 8  # corners of the cube around each sample of a ray
 # truncations: depth is interpolated only for voxels within this distance of the pixel's depth
 MAX_INTERPOLATION_DISTANCE = 2.0
-MIN_SIMILAR_NEIGHBOURS = 3  # of eight; with fewer similar neighbours, the depth is wrong
-# deviations: pixels that differ by less are similar, even by more than `MAX_SURFACE_STEP`
+MIN_SIMILAR_NEIGHBOURS = 3  # of eight: with fewer similar neighbours, a pixel's depth is wrong
+# deviations: pixels with a smaller difference are similar, even if it exceeds `MAX_SURFACE_STEP`
 MAX_SIMILAR_DEVIATIONS = 3.0
 
 

@@ -9,7 +9,7 @@ from tisfm.kernels.layout.launch import Kernel
 from tisfm.kernels.model import MIN_DEPTH_RATIO
 from tisfm.kernels.model.rigid_motion import flow_of, motion_columns
 
-READOUT_BAND = 16  # rows: a band has at least as many
+READOUT_BAND = 16  # smallest number of rows of a band
 
 
 def motion_fields(

@@ -1,8 +1,8 @@
 """PatchMatch for free motions: the displacement of best correlation at every pixel.
 
 A hypothesis is a displacement (u, v) of the whole window. Its cost is 1 − c, with the correlation c
-of `tisfm.kernels.rigid.windows`. Good hypotheses propagate from pixel to pixel, and random ones are
-drawn around them.
+of `tisfm.kernels.rigid.windows`. Good hypotheses propagate from pixel to pixel, and random
+hypotheses are drawn around them.
 
 The state is an (H, W, 4) array: u and v in px/frame, the cost (`UNTEXTURED` where the window shows
 only noise), and 1 for a pixel whose displacement is searched, else 0.
@@ -63,7 +63,7 @@ class FlowSearch:
         self,
         state: np.ndarray,  # (H, W, 4) float32
         *,
-        min_variance: float,  # of a window that is compared, over the variance of the noise
+        min_variance: float,  # variance of a compared window divided by the variance of the noise
     ) -> None:
         """Compute the costs of the displacements of a state, in place."""
         self._check(state)
@@ -75,7 +75,7 @@ class FlowSearch:
         self,
         state: np.ndarray,  # (H, W, 4) float32: state with costs, from `score`
         *,
-        # px: distance of the far neighbours; odd, so that those of red pixels are black
+        # px: distance of the far neighbours; odd, so that far neighbours of red pixels are black
         neighbour_distance: int,
         draws: int,
         # largest and smallest range of the draws in u and in v, px/frame

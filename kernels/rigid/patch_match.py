@@ -61,7 +61,7 @@ class PlaneSearch:
         center: tuple[float, float],  # principal point, px
         focal: float,  # px
         noise: float,  # standard deviation of the noise of a frame, levels; above 0
-        min_variance: float,  # of a window that is compared, over the variance of the noise
+        min_variance: float,  # variance of a compared window divided by the variance of the noise
         # min_depth, max_depth: bounds of D, px/frame
         min_depth: float,
         max_depth: float,

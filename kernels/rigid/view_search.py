@@ -1,9 +1,9 @@
 """PatchMatch with several frames: the plane of best match between a keyframe and other frames.
 
-The cost of a hypothesis is the mean of its least costs, in a fixed number of frames: in the other
-frames the surface may be hidden or outside the image. A plane may represent a square of pixels, a
-cell of a grid; then only the window around the upper left pixel of the cell is compared. All else
-is as in `tisfm.kernels.rigid.patch_match`.
+The cost of a hypothesis is the mean of its costs in a fixed number of frames, those where it is
+least: in the other frames the surface may be hidden or outside the image. A plane may represent a
+square of pixels, a cell of a grid. Then only the window around the upper left pixel of the cell is
+compared. Everything else is as in `tisfm.kernels.rigid.patch_match`.
 
 The state is an (h, w, 4) array: D at the centre of a cell, px, its change from cell to cell to the
 east and to the south, and the cost.
@@ -62,7 +62,7 @@ class ViewSearch:
         center: tuple[float, float],  # principal point, px
         focal: float,  # px
         noise: float,  # standard deviation of the noise of a frame, levels; above 0
-        min_variance: float,  # of a window that is compared, over the variance of the noise
+        min_variance: float,  # variance of a compared window divided by the variance of the noise
         # min_depth, max_depth: bounds of D, px
         min_depth: float,
         max_depth: float,

@@ -1,7 +1,7 @@
 """Red–black Gauss–Seidel sweeps with over-relaxation (eq. 16, 22–23 of the paper, docs/method.md).
 
-At each pixel, B = GᵀJG + α·diag(b̄), and the update is ρ̂ ← ρ̂ + ω_r·B⁻¹(c − Bρ̂). It is the
-same iteration as with the solution of Bρ̂ = c. But it computes differences of neighbours instead of
+At each pixel, B = GᵀJG + α·diag(b̄), and the update is ρ̂ ← ρ̂ + ω_r·B⁻¹(c − Bρ̂). A solution of
+Bρ̂ = c would give the same iteration. But this update computes differences of neighbours instead of
 differences of large numbers, and its limit stays right where a pivot floor is active.
 
 A lane array holds an image as vertical strips (`tisfm.kernels.layout.lanes`).
@@ -33,7 +33,7 @@ from tisfm.kernels.model.robust import repeat_shared
 from tisfm.kernels.model.small_spd import DATA_FLOOR, cholesky_solve, woodbury_solve
 
 SOLVERS = ("cholesky", "closed_form")
-RELAXATION_BAND = 32  # rows: a band has at least as many, so that there are few borders
+RELAXATION_BAND = 32  # smallest number of rows of a band, so that there are few borders
 MAX_SWEEPS = 64  # limit of the sweeps in one launch, for a grid with a single band
 
 
@@ -279,8 +279,8 @@ def _solve(
     weight_sums = [bind(sum(sides[1:], sides[0])) for sides in zip(*edges, strict=True)]
     totals = repeat_shared(weight_sums, len(alphas))
     j11, j12, j22 = tensor
-    # A pixel without an open edge has only its data. The floor shortens its steps, but the limit,
-    # where the residual is zero, stays the same.
+    # A pixel whose edges all have weight 0 has only its data. The floor shortens its steps, but the
+    # limit, where the residual is zero, stays the same.
     floor = bind(DATA_FLOOR * (j11 + j22) + MIN_DIVISOR)
     if closed_form and len(alphas) > 1:  # a single unknown needs no closed form
         if len(weight_sums) == 1:  # one division of vectors is enough

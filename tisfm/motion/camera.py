@@ -92,7 +92,7 @@ def camera_estimate(
         solution = textureless_depth(pyramid, settings, precise_motions[0])
     flow_residual = 0.0  # the deviation of carried depth includes this residual
     if solution is None:
-        # A sweep may run on a finer level than the last; it starts near the solution: few warps do.
+        # A sweep may be finer than the last level. Few warps suffice: it starts near the solution.
         last = sweep.finest_level if sweep.is_needed else level
         warps = settings.warps if unit is None else None
         solution = (

@@ -9,9 +9,10 @@ from tisfm.kernels.model import MIN_DEPTH_RATIO
 from tisfm.motion.settings import EGOMOTION
 from tisfm.visibility.confidence import median
 
-MAD_TO_DEVIATION = 1.4826  # standard deviation of a normal distribution over its median distance
+# standard deviation of a normal distribution divided by its median absolute value
+MAD_TO_DEVIATION = 1.4826
 MIN_STIFFNESS = 1e-9  # share of the trace of normal equations that is added to their diagonal
-MIN_TRACE = 1e-30  # of normal equations
+MIN_TRACE = 1e-30  # smallest trace of normal equations
 # Smallest divisors: length and square of a normalised vector, and a median normalised displacement
 MIN_LENGTH = 1e-9
 MIN_SQUARE = 1e-18
@@ -64,7 +65,7 @@ class EpipolarPoints:
 
 @dataclass(frozen=True, kw_only=True)
 class FreeUnknowns:
-    """How many of the unknowns (t, ω) are free, from the first on, and a likely rotation."""
+    """The number of free unknowns, the first of (t, ω), and a likely rotation."""
 
     count: int
     likely_rotation: np.ndarray | None
@@ -75,8 +76,8 @@ def rotation_prior(
 ) -> tuple[float, np.ndarray]:
     """Return stiffness and offset, rad, of a prior that pulls a rotation to a likely rotation.
 
-    The prior is a normal distribution of deviation `rotation_deviation`. The data have the weight
-    of pixels of which every `correlated_pixels` share an error of `noise` px.
+    The prior is a normal distribution of deviation `rotation_deviation`. The weight of the data
+    assumes that every group of `correlated_pixels` pixels has one common error of `noise` px.
     """
     offset = cv2.Rodrigues(likely_rotation @ rotation.T)[0][:, 0]
     return EGOMOTION.correlated_pixels * (noise / EGOMOTION.rotation_deviation) ** 2, offset

@@ -1,7 +1,7 @@
 """Objects that move far for their size, separated from their surroundings in a flow field.
 
-The smoothness term of a flow charges every step of motion along an outline, without a bound. A
-small object that moves far therefore costs less if it moves with its surroundings, even if the
+In the smoothness term of a flow, every step of motion along an outline has a cost without a bound.
+A small object that moves far therefore costs less if it moves with its surroundings, even if the
 images show the opposite. Once the images have shown such an object, the smoothness is cut along its
 outline, and the outline is searched again on every level, by the images alone.
 
@@ -23,7 +23,7 @@ from tisfm.solver.coarse_to_fine import Problem
 from tisfm.solver.smoothness import MIN_GREY_STEP, mean_step
 from tisfm.solver.unknowns import Unknowns
 
-# Mean steps of the frame that are added to grey levels of objects: no smoothness crosses the edge.
+# Addition to the grey levels of objects, in mean |ΔI|: so no smoothness crosses their outlines.
 EDGE_HEIGHT = 1e6
 STENCIL_RADIUS = 3  # px: radius of the stencils of differences and means
 
@@ -151,7 +151,7 @@ def fast_areas(
     forward: np.ndarray,
     previous: np.ndarray,
     *,
-    min_speed: float,  # px of motion over the root of the area
+    min_speed: float,  # px of motion divided by the square root of the area
     min_area: int,  # px
 ) -> np.ndarray:
     """Return the new pixels of connected areas that move far for their size.

@@ -38,7 +38,7 @@ def field_estimate(
     )
     del solution  # frees most of the memory
     rho = resize_to_finest(pyramid, unknowns, pyramid.last)
-    if status == "no_texture":  # gradients of frame 1 alone may move a uniform frame 0
+    if status == "no_texture":  # the flow of a uniform frame 0 is from gradients of frame 1 alone
         rho[...] = 0
     flow, inverse_depth = _read_out(rho, camera)
     if len(rho) < 6:

@@ -41,16 +41,16 @@ class FirstMotion:
     translation: np.ndarray
     # robust standard deviation of the displacements from epipolar lines, px of the finest level
     residual: float
-    status: Status | None  # why there is no depth; None if there is
+    status: Status | None  # why there is no depth; None if there is depth
     # why the given pose may be wrong, why another motion is as likely, or why depth will be rough
     doubt: Status | None
     history: Records  # list of (level, warp, Iteration)
     flow: np.ndarray  # (h, w, 2) float32: the flow field, px of its level
     trust: np.ndarray  # (h, w) float32: its confidence
     level: int  # level of the flow field
-    # whether matched points gave the motion, which they do for frames far apart, too
+    # whether matched points gave the motion; points are also matched between distant frames
     uses_matches: bool = False
-    # whether the frames are two pictures of one layout, so that matching points is useless
+    # whether the frames have one layout but different contents, so that matches are useless
     is_cut: bool = False
 
     @property

@@ -42,7 +42,7 @@ def flow_proposals(
 ) -> "FlowProposals | None":
     """Return the correction of a flow between coarse and fine levels; None if no level suits."""
     if pyramid.levels == 1 or pyramid.frames0[-1].size > PROPOSALS.max_pixels:
-        # The settings ask for few scales.
+        # The settings exclude a level that is coarse enough.
         return None
     levels = range(pyramid.last, pyramid.levels)
     level = next(k for k in levels if pyramid.frames0[k].size <= PROPOSALS.max_pixels)
@@ -312,7 +312,7 @@ def _fill_flow(
     """Return a flow whose unknown pixels take the nearest known flow, if the images confirm it.
 
     The images cannot confirm a flow that leaves the image. A pixel takes such a flow if its present
-    flow stays inside and does not match, or if its present flow is broken.
+    flow stays inside and does not match, or if it changes too fast (`max_flow_slope`).
     """
     distance = np.where(is_known, 0, np.float32(flow.size)).astype(np.float32)
     proposal = np.zeros((*windows.shape, 4), np.float32)

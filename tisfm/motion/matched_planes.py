@@ -77,7 +77,7 @@ class _Search:
     """A search from coarse to fine; both directions use the same search."""
 
     cameras: list[Camera]  # camera of each level, the coarsest first
-    scales: list[float]  # sampling density of each level over that of the last level
+    scales: list[float]  # sampling density of each level divided by that of the last level
     noise: float  # standard deviation of the noise of the last level, grey levels of 255
 
     def run(

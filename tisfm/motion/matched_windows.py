@@ -62,7 +62,7 @@ class Windows:
         flow: np.ndarray,  # (h, w, 2) float32: px/frame
         *,
         mask: np.ndarray | None = None,  # (h, w) bool: pixels that are searched, by default all
-        # variance of a compared window over that of the noise
+        # variance of a compared window divided by the variance of the noise
         min_variance: float = PROPOSALS.min_window_variance,
     ) -> np.ndarray:
         """Return a flow (h, w, 2) as the state of a search (`tisfm.kernels.rigid.flow_search`)."""
@@ -159,8 +159,8 @@ class WindowSearch:
 def resize_flow(
     flow: np.ndarray,  # (h', w', 2) float32: px/frame
     shape: tuple[int, int],  # height and width of the other level, px
-    # sampling density of the other level over that of the flow's level; the ratio of the rounded
-    # sizes may differ
+    # sampling density of the other level divided by that of the flow's level; the ratio of the
+    # rounded sizes may differ
     ratio: float,
 ) -> np.ndarray:
     """Return a flow (h, w, 2) on another level: means on a coarser level, else nearest values."""

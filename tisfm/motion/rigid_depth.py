@@ -29,7 +29,7 @@ class RigidSolution:
     # (7, h, w) float32: as in `tisfm.kernels.solve.data_precision`, on the last level
     precision: np.ndarray
     level: int  # the last level
-    density: float  # sampling density of the last level over that of the finest level
+    density: float  # sampling density of the last level divided by that of the finest level
     history: Records  # list of (level, warp, Iteration)
     converged: bool
     is_limit_adjustable: bool = True  # whether the settings determine the number of iterations

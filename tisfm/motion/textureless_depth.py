@@ -199,9 +199,9 @@ class _Level:
 def _deviation(planes: MatchedPlanes, depth: np.ndarray, pyramid: ImagePyramid) -> np.ndarray:
     """Return the standard deviation of D, (H, W) float32, px/frame of the finest level.
 
-    It combines the error of matching, the error for every px that depth was carried, and the
-    change of matched pixels nearby by the refinement. `depth`, (h, w) float32, is the refined D
-    on the level of the planes.
+    It combines the error of matching, an error that grows with the distance from matched pixels,
+    and the change of matched pixels nearby by the refinement. `depth`, (h, w) float32, is the
+    refined D on the level of the planes.
     """
     reliability = planes.is_reliable.astype(np.float32)
     distance = cv2.distanceTransform((~planes.is_reliable).astype(np.uint8), cv2.DIST_L2, 5)

@@ -201,8 +201,8 @@ def remaining_error(changes: Sequence[float]) -> float:
     """Return an estimate of the error of ρ̂ from its last relative changes, one per iteration.
 
     If every change is q times the previous change, all later changes add up to q/(1 − q) times the
-    last change. q is the greater of the last two ratios, but at least ⅔. The result
-    is infinite if changes grow.
+    last change. q is the greater of the last two ratios, but at least ⅔. The result is infinite if
+    changes grow.
     """
     if not changes or changes[-1] == 0:
         return 0.0 if changes else math.inf

@@ -96,7 +96,7 @@ class Unknowns:
     def precision(self, system: LinearSystem) -> np.ndarray:
         """Return the precision of each pixel's flow from data and from neighbours, (7, H, W).
 
-        float32; see `tisfm.kernels.solve.data_precision`. The residual is the robust one.
+        float32; see `tisfm.kernels.solve.data_precision`. The residual has robust weights.
         """
         return self.to_images(self._precision(system))
 

@@ -184,8 +184,8 @@ def _update(
                         )  # fmt: skip
                     # The first column of a strip reads its western weight from the halo: the
                     # eastern weight of the neighbouring strip's last column.
-                    for kind in range(3):
-                        refresh_halo(weights, 2 * kind, row + 1)
+                    for weight_index in range(3):
+                        refresh_halo(weights, 2 * weight_index, row + 1)
 
 
 @ti.func

@@ -72,10 +72,10 @@ def _label_costs(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the costs of visible labels at free pixels, of own labels, and of occluded pixels.
 
-    A visible pixel costs −log of a normal distribution of grey levels over a uniform one, from 0 to
-    `max_grey_cost`; objects that are not quite rigid have more noise. A label whose flow leaves the
-    image takes the least cost of the other labels. An occluded pixel costs less in a more uniform
-    neighbourhood.
+    A visible pixel costs −log of the ratio of a normal to a uniform distribution of grey levels,
+    from 0 to `max_grey_cost`; objects that are not quite rigid have more noise. A label whose flow
+    leaves the image takes the least cost of the other labels. An occluded pixel costs less in a
+    more uniform neighbourhood.
 
     Returns three costs, float32: of every label at the free pixels, (K, N); of the own label of
     each pixel, (H, W); and of an occluded pixel, (H, W).

@@ -238,7 +238,7 @@ def contact_scale(
     hidden: np.ndarray,  # (H, W) bool: pixels whose depth is not used
     label: int,  # the object's label
 ) -> float | None:
-    """Return inverse depth of the background over that of the object at contacts; None without."""
+    """Return inverse depth of the background divided by that of the object at contacts, or None."""
     height = len(labels)
     is_object = labels == label
     columns = np.flatnonzero(is_object.any(axis=0))

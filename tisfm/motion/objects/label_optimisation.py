@@ -48,9 +48,9 @@ class Potts:
         self,
         frame: np.ndarray,  # (H, W) float32: grey levels
         *,
-        # sampling density of the frame over the density for which `POTTS_SMOOTHNESS` was set. It
-        # scales the weight of boundaries: in a smaller frame, costs fall with the area, boundaries
-        # only with the length.
+        # sampling density of the frame divided by the density for which `POTTS_SMOOTHNESS` was set.
+        # It scales the weight of boundaries: in a smaller frame, costs fall with the area,
+        # boundaries only with the length.
         density: float = 1.0,
     ) -> None:
         self._smoothness = replace(POTTS_SMOOTHNESS, alpha=POTTS_SMOOTHNESS.alpha * density)

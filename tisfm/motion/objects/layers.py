@@ -64,7 +64,7 @@ class Layering:
         settings: Settings,
         grey0: np.ndarray,  # (H, W) float32: grey levels of frame 0
         *,
-        # sampling density of the finest level over that of the original frames
+        # sampling density of the finest level divided by that of the original frames
         density: float = 1.0,
     ) -> None:
         self._pyramid = pyramid
@@ -221,7 +221,7 @@ class Layering:
         )
 
     def _gain_ratio(self, gain: np.ndarray, mask: np.ndarray) -> float:
-        """Return the total gain of the pixels of a mask over the least gain of a needed layer."""
+        """Return the total gain of a mask's pixels divided by the least gain of a needed layer."""
         total = float((self._weight * gain)[mask].sum())
         return total / max(
             OBJECTS.min_object_gain * self.min_size, OBJECTS.min_pixel_gain * int(mask.sum())
