@@ -28,7 +28,7 @@ def motion_system(
     # the system of D, with one unknown per pixel; its edge weights and coordinates are read
     system: LinearSystem,
     # lane array, 3 components for each of 1 to 3 constraints: (p, q, c)
-    # (`tisfm.kernels.data.constraints`), not restricted to epipolar constraints
+    # (`tisfm.kernels.data.constraints`), not restricted to epipolar lines
     constraints: LaneData,
     inverse_depth: LaneData,  # lane array, 1 component: D
     labels: LaneData,  # lane array, 1 component
