@@ -259,7 +259,7 @@ class Settings:
         ----------
         name : {"paper", "fast", "balanced", "accurate"}
             ``"paper"`` reproduces the paper: one scale, no warping, brightness only, β = ¼,
-            λ = 1e8 at f = 600, δ = 1. The others trade accuracy for time.
+            λ = 1e8 at f = 600, δ = 1. The other presets trade accuracy for time.
         **changes
             Settings that differ from the preset.
 

@@ -115,18 +115,18 @@ def _splat_at(
     target_x, target_y = x + u, y + v
     if _is_inside(target_x, target_y, residual):
         column, row = ti.cast(target_x, ti.i32), ti.cast(target_y, ti.i32)
-        across, down = target_x - column, target_y - row
+        dx, dy = target_x - column, target_y - row
         # Beyond the last row and column there is no neighbour; its weight would be 0.
         below = ti.min(row + 1, residual.shape[0] - 1)
         right = ti.min(column + 1, residual.shape[1] - 1)
         values = _Sums(1.0, residual[y, x], u, v)
-        upper, lower = (1.0 - down) * values, down * values
+        upper, lower = (1.0 - dy) * values, dy * values
         if first <= row and row < last:
-            _add(sums, row, column, (1.0 - across) * upper, atomic)
-            _add(sums, row, right, across * upper, atomic)
+            _add(sums, row, column, (1.0 - dx) * upper, atomic)
+            _add(sums, row, right, dx * upper, atomic)
         if first <= below and below < last:
-            _add(sums, below, column, (1.0 - across) * lower, atomic)
-            _add(sums, below, right, across * lower, atomic)
+            _add(sums, below, column, (1.0 - dx) * lower, atomic)
+            _add(sums, below, right, dx * lower, atomic)
 
 
 @ti.func
@@ -155,15 +155,15 @@ def _hidden_pixels(
             is_hidden = 0
             if _is_inside(target_x, target_y, residual):
                 column, row = ti.cast(target_x, ti.i32), ti.cast(target_y, ti.i32)
-                across, down = target_x - column, target_y - row
+                dx, dy = target_x - column, target_y - row
                 below = ti.min(row + 1, residual.shape[0] - 1)
                 right = ti.min(column + 1, residual.shape[1] - 1)
-                upper = (1.0 - across) * sums[row, column][0] + across * sums[row, right][0]
-                lower = (1.0 - across) * sums[below, column][0] + across * sums[below, right][0]
-                if (1.0 - down) * upper + down * lower > density:  # true at few pixels
-                    upper_sums = (1.0 - across) * sums[row, column] + across * sums[row, right]
-                    lower_sums = (1.0 - across) * sums[below, column] + across * sums[below, right]
-                    total = (1.0 - down) * upper_sums + down * lower_sums
+                upper = (1.0 - dx) * sums[row, column][0] + dx * sums[row, right][0]
+                lower = (1.0 - dx) * sums[below, column][0] + dx * sums[below, right][0]
+                if (1.0 - dy) * upper + dy * lower > density:  # true at few pixels
+                    upper_sums = (1.0 - dx) * sums[row, column] + dx * sums[row, right]
+                    lower_sums = (1.0 - dx) * sums[below, column] + dx * sums[below, right]
+                    total = (1.0 - dy) * upper_sums + dy * lower_sums
                     du, dv = total[2] / total[0] - u, total[3] / total[0] - v
                     has_larger_residual = residual[y, x] * total[0] > total[1]
                     if (

@@ -131,8 +131,8 @@ def _sample(image: ti.template(), taps: ti.template(), column, row, u, v, lanes:
     inside_mask = ti.select(x == target_x, inside_mask, zero)
     inside_mask = ti.select(y == target_y, inside_mask, zero)
     left, top = ti.floor(x), ti.floor(y)
-    across, down = x - left, y - top
-    weights_x, weights_y = ti.static(_weights(across)), ti.static(_weights(down))
+    dx, dy = x - left, y - top
+    weights_x, weights_y = ti.static(_weights(dx)), ti.static(_weights(dy))
     # weighted sums of the coefficients over four rows, for each of four columns
     columns = ti.static([bind(zero) for _ in range(4)])
     for lane in range(lanes):
@@ -146,7 +146,7 @@ def _sample(image: ti.template(), taps: ti.template(), column, row, u, v, lanes:
     for k in ti.static(range(1, 4)):
         value += weights_x[k] * columns[k]
     for lane in range(lanes):
-        if lane_of(across, lane, lanes) + lane_of(down, lane, lanes) == 0.0:
+        if lane_of(dx, lane, lanes) + lane_of(dy, lane, lanes) == 0.0:
             pixel = image[_index(top, lane, lanes), _index(left, lane, lanes)]
             set_lane(value, lane, lanes, pixel)
     return value, inside_mask

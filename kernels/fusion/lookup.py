@@ -19,9 +19,9 @@ def check_map(inverse_depth: np.ndarray, deviation: np.ndarray, name: str = "") 
 @ti.func
 def is_inside(x, y, image: ti.template()):
     """Return whether a position lies on a pixel of the image."""
-    across = x >= -0.5 and x < image.shape[1] - 0.5
-    down = y >= -0.5 and y < image.shape[0] - 0.5
-    return across and down
+    is_in_columns = x >= -0.5 and x < image.shape[1] - 0.5
+    is_in_rows = y >= -0.5 and y < image.shape[0] - 0.5
+    return is_in_columns and is_in_rows
 
 
 @ti.func
@@ -42,13 +42,13 @@ def inverse_depth_at(image: ti.template(), x, y):
     value = image[row, column]
     if value > 0:
         left, top = ti.cast(ti.floor(x), ti.i32), ti.cast(ti.floor(y), ti.i32)
-        across, down = x - left, y - top
+        dx, dy = x - left, y - top
         right, below = ti.min(left + 1, image.shape[1] - 1), ti.min(top + 1, image.shape[0] - 1)
         left, top = ti.max(left, 0), ti.max(top, 0)
         a, b = image[top, left], image[top, right]
         c, d = image[below, left], image[below, right]
         min_depth, max_depth = ti.min(a, b, c, d), ti.max(a, b, c, d)
         if min_depth > 0 and max_depth - min_depth < MAX_SURFACE_STEP * max_depth:
-            upper = a + across * (b - a)
-            value = upper + down * (c + across * (d - c) - upper)
+            upper = a + dx * (b - a)
+            value = upper + dy * (c + dx * (d - c) - upper)
     return value

@@ -132,8 +132,8 @@ def propagate_flow(
     check_array(state, (*guide.shape, 4), "state", aligned=False)
     if not edge > 0:
         raise ValueError(f"edge is {edge}: expected a positive value, in grey levels")
-    for across in (True, False):
-        _propagate(guide, 1 / edge, across, distance, state)
+    for by_rows in (True, False):
+        _propagate(guide, 1 / edge, by_rows, distance, state)
 
 
 def _searched_pixels(state: np.ndarray) -> np.ndarray:
@@ -241,12 +241,12 @@ def _cost(
 def _propagate(
     guide: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W)
     inverse_edge: ti.f32,
-    across: ti.template(),
+    by_rows: ti.template(),
     distance: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (H, W), in place
     state: ti.types.ndarray(dtype=_State, ndim=2),  # (H, W), in place
 ):
-    lines = guide.shape[0] if ti.static(across) else guide.shape[1]
-    length = guide.shape[1] if ti.static(across) else guide.shape[0]
+    lines = guide.shape[0] if ti.static(by_rows) else guide.shape[1]
+    length = guide.shape[1] if ti.static(by_rows) else guide.shape[0]
     for task in range(CHUNK * lines):
         if task % CHUNK == 0:  # a line for each thread
             line = task // CHUNK
@@ -255,10 +255,10 @@ def _propagate(
                 position = n if direction == 0 else 2 * length - 1 - n
                 previous = position - 1 if direction == 0 else position + 1
                 if previous >= 0 and previous < length:
-                    y = line if ti.static(across) else position
-                    x = position if ti.static(across) else line
-                    previous_y = line if ti.static(across) else previous
-                    previous_x = previous if ti.static(across) else line
+                    y = line if ti.static(by_rows) else position
+                    x = position if ti.static(by_rows) else line
+                    previous_y = line if ti.static(by_rows) else previous
+                    previous_x = previous if ti.static(by_rows) else line
                     difference = ti.abs(guide[y, x] - guide[previous_y, previous_x])
                     new_distance = (
                         distance[previous_y, previous_x] + 1.0 + inverse_edge * difference

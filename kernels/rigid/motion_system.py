@@ -109,14 +109,14 @@ def _motion_system(
                 [[bind(terms[3 * i + k, y, s]) for k in range(3)] for i in range(count)]
             )
             data_terms = ti.static(terms_of(constraints))
-            square = ti.static([bind(sum_of_squares(part, u, v)) for part in data_terms])
+            squares = ti.static([bind(sum_of_squares(term, u, v)) for term in data_terms])
             residual = 0.0 * u
-            for part in ti.static(range(len(data_terms))):
-                residual += square[part]
+            for term in ti.static(range(len(data_terms))):
+                residual += squares[term]
             weight = 1.0 / (1.0 + residual_scale * residual)
             weight = is_label * weight * weight
             j11, j12, j22, j1, j2 = ti.static(
-                _weighted_tensor(data_terms, square, (inverse_scale0, inverse_scale1), weight)
+                _weighted_tensor(data_terms, squares, (inverse_scale0, inverse_scale1), weight)
             )
             g1, g2 = j11 * u + j12 * v + j1, j12 * u + j22 * v + j2
             neighbours = weights[0, y, s] + weights[0, y, s - 1]
@@ -150,10 +150,10 @@ def coordinate(motion: ti.template(), row: ti.template(), x, y, d):
     return rotated + d * motion[row, 3]
 
 
-def _weighted_tensor(data_terms: list, square: list, inverses: tuple, pixel_weight: Any) -> list:
+def _weighted_tensor(data_terms: list, squares: list, inverses: tuple, pixel_weight: Any) -> list:
     """Return the weighted sums of J11, J12, J22, j1 and j2 over all terms."""
     total: list[Any] = [0.0] * 5
-    for constraints, q, inverse in zip(data_terms, square, inverses, strict=False):
+    for constraints, q, inverse in zip(data_terms, squares, inverses, strict=False):
         weight = bind(pixel_weight / ti.sqrt(1.0 + inverse * q))
         entries = motion_tensor(constraints)[:5]
         total = [

@@ -217,10 +217,10 @@ def cheapest_neighbour(planes: ti.template(), y, x, direction, best):
     D is `NO_DEPTH` if there is no such neighbour.
     """
     min_cost, distance = UNTEXTURED, 0
-    down = ti.select(direction == 0, 1, ti.select(direction == 1, 0 - 1, 0))
-    across = ti.select(direction == 2, 1, ti.select(direction == 3, 0 - 1, 0))
+    dy = ti.select(direction == 0, 1, ti.select(direction == 1, 0 - 1, 0))
+    dx = ti.select(direction == 2, 1, ti.select(direction == 3, 0 - 1, 0))
     for n in ti.static(range(len(DISTANCES))):
-        row, column = y + ti.static(DISTANCES[n]) * down, x + ti.static(DISTANCES[n]) * across
+        row, column = y + ti.static(DISTANCES[n]) * dy, x + ti.static(DISTANCES[n]) * dx
         is_inside = row >= 0 and row < planes.shape[0] and column >= 0 and column < planes.shape[1]
         cost = planes[ti.select(is_inside, row, y), ti.select(is_inside, column, x)][3]
         is_cheaper = is_inside and cost < min_cost
@@ -228,9 +228,9 @@ def cheapest_neighbour(planes: ti.template(), y, x, direction, best):
         distance = ti.select(is_cheaper, ti.static(DISTANCES[n]), distance)
     plane = ti.Vector([NO_DEPTH, 0.0, 0.0, UNTEXTURED])
     if distance > 0:
-        other = planes[y + distance * down, x + distance * across]
+        other = planes[y + distance * dy, x + distance * dx]
         plane = other
-        plane[0] = other[0] - other[1] * (distance * across) - other[2] * (distance * down)
+        plane[0] = other[0] - other[1] * (distance * dx) - other[2] * (distance * dy)
     return plane
 
 

@@ -83,7 +83,7 @@ def _matching_cost(
         t1, t2, t3 = motion[0, 3], motion[1, 3], motion[2, 3] / focal
         right_border, lower_border = width - 1.0, height - 1.0
         last_column, last_row = ti.max(width - 2.0, 0.0), ti.max(height - 2.0, 0.0)
-        across, down = ti.min(1, width - 1), ti.min(1, height - 1) * width
+        column_step, row_step = ti.min(1, width - 1), ti.min(1, height - 1) * width
         feature, guess_depth, guess_weight = features0[y * width + x], guess[y, x], weight[y, x]
         hypothesis = 0.0 * out[y, x, 0] + first
         for lane in ti.static(range(1, lanes)):
@@ -104,9 +104,9 @@ def _matching_cost(
                     corner = ti.cast(lane_of(row, lane, lanes), ti.i32) * width
                     corner += ti.cast(lane_of(column, lane, lanes), ti.i32)
                     right = lane_of(a, lane, lanes)
-                    above, below = features1[corner], features1[corner + down]
-                    above = above + right * (features1[corner + across] - above)
-                    below = below + right * (features1[corner + down + across] - below)
+                    above, below = features1[corner], features1[corner + row_step]
+                    above = above + right * (features1[corner + column_step] - above)
+                    below = below + right * (features1[corner + row_step + column_step] - below)
                     difference = above + lane_of(b, lane, lanes) * (below - above) - feature
                     difference = ti.max(difference, 0.0 - difference)
                     data_cost = ti.min(1.0, difference[0]) + ti.min(

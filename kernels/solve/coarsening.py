@@ -288,19 +288,17 @@ def _prolong(
         y = ti.max(0.0, ti.min((row + 0.5) * ratio - 0.5, last_row))
         top = ti.min(ti.cast(y, ti.i32), ti.max(last_row - 1, 0))
         bottom = ti.min(top + 1, last_row)
-        down = y - top
+        dy = y - top
         for lane in range(lanes):
             column = lane * strip + position - 1
             x = ti.max(0.0, ti.min((column + 0.5) * ratio - 0.5, last_column))
             left = ti.min(ti.cast(x, ti.i32), ti.max(last_column - 1, 0))
             right = ti.min(left + 1, last_column)
-            across = x - left
+            dx = x - left
             for k in range(out.shape[0]):
                 value = 0.0
                 if column >= 0 and column < width:
-                    upper = coarse[k, top, left] * (1.0 - across) + coarse[k, top, right] * across
-                    lower = (
-                        coarse[k, bottom, left] * (1.0 - across) + coarse[k, bottom, right] * across
-                    )
-                    value = (upper * (1.0 - down) + lower * down) / ratio
+                    upper = coarse[k, top, left] * (1.0 - dx) + coarse[k, top, right] * dx
+                    lower = coarse[k, bottom, left] * (1.0 - dx) + coarse[k, bottom, right] * dx
+                    value = (upper * (1.0 - dy) + lower * dy) / ratio
                 store_lane(out, k, row + 1, position, lane, value)

@@ -52,8 +52,8 @@ class RigidLevel:
             image_to_lanes(grid, label_image, self._labels)
         self._label_image = label_image
         self._rows = slice(1, -1, max(1, grid.height * grid.width // SAMPLED_PIXELS))
-        inside = _valid_pixels(unknowns, pyramid.valid0(level))[0, self._rows, 1:-1]
-        sampled_labels = np.where(inside > 0, on_host(self._labels)[0, self._rows, 1:-1], -1)
+        used_pixels = _valid_pixels(unknowns, pyramid.valid0(level))[0, self._rows, 1:-1]
+        sampled_labels = np.where(used_pixels > 0, on_host(self._labels)[0, self._rows, 1:-1], -1)
         self._samples = [np.flatnonzero(sampled_labels == label) for label in range(count)]
         if labels.any():
             multiply(grid, _same_label_edges(unknowns, label_image), unknowns.edges)
@@ -209,12 +209,12 @@ def _apply_step(
 
 def _valid_pixels(unknowns: Unknowns, valid: np.ndarray | None) -> np.ndarray:
     """Return 1 on the used pixels of the image, else 0, as a lane array on the host."""
-    inside = unknowns.grid.image_mask()
+    used_pixels = unknowns.grid.image_mask()
     if valid is None:
-        return inside
+        return used_pixels
     weight = unknowns.grid.allocate(1)
     image_to_lanes(unknowns.grid, valid.astype(np.float32), weight)
-    return inside * on_host(weight)
+    return used_pixels * on_host(weight)
 
 
 def _same_label_edges(unknowns: Unknowns, labels: np.ndarray) -> LaneData:

@@ -53,10 +53,10 @@ class PixelMasks:
 
     def coarser(self, level: int) -> "PixelMasks":
         """Return the masks of `level`, as the finest level, and of all coarser levels."""
-        other = copy(self)
-        other.original, other._shapes = self.levels[level], self._shapes[level:]
-        other.levels = self.levels[level:]
-        return other
+        coarser_masks = copy(self)
+        coarser_masks.original, coarser_masks._shapes = self.levels[level], self._shapes[level:]
+        coarser_masks.levels = self.levels[level:]
+        return coarser_masks
 
 
 def fill_ignored(

@@ -81,14 +81,14 @@ def _coarsen_system(
                 tensor[k, y, s] + tensor[k, y, s + 1]
                 + tensor[k, below, s] + tensor[k, below, s + 1]
             )  # fmt: skip
-        for kind in ti.static(range(3)):
-            east = weights[2 * kind, y, s + 1] + weights[2 * kind, below, s + 1]
-            south = weights[2 * kind + 1, below, s] + weights[2 * kind + 1, below, s + 1]
-            coarse_weights[2 * kind, row + 1, position + 1] = 0.5 * east
-            coarse_weights[2 * kind + 1, row + 1, position + 1] = 0.5 * south
+        for term in ti.static(range(3)):
+            east = weights[2 * term, y, s + 1] + weights[2 * term, below, s + 1]
+            south = weights[2 * term + 1, below, s] + weights[2 * term + 1, below, s + 1]
+            coarse_weights[2 * term, row + 1, position + 1] = 0.5 * east
+            coarse_weights[2 * term + 1, row + 1, position + 1] = 0.5 * south
     ti.loop_config(serialize=is_serial)
-    for kind, row in ti.ndrange(3, rows):
-        refresh_halo(coarse_weights, 2 * kind, row + 1)
+    for term, row in ti.ndrange(3, rows):
+        refresh_halo(coarse_weights, 2 * term, row + 1)
 
 
 def offset_columns(grid: LaneGrid) -> tuple[np.ndarray, np.ndarray]:

@@ -122,13 +122,13 @@ def _plane_energy(
             store_sum(partial, row, block, term, sums[term], ti.static(lane_count(previous)))
 
 
-def _differences(array: Any, starts: list, i: Any, other: Any, side: int, half_h: Any) -> list:
+def _differences(array: Any, starts: list, i: Any, j: Any, side: int, half_h: Any) -> list:
     """Return r, Δv₁, Δv₂ and ΔD of an edge, while compiling; `side` is 0 for east, 1 for south.
 
     r is ΔD minus the change of D that the mean slope along the edge predicts.
     """
     center, neighbour = (
-        [bind(element(array, index + starts[k])) for k in range(COMPONENTS)] for index in (i, other)
+        [bind(element(array, index + starts[k])) for k in range(COMPONENTS)] for index in (i, j)
     )
     step, first, second = (bind(end - start) for end, start in zip(neighbour, center, strict=True))
     return [bind(step - half_h * (center[1 + side] + neighbour[1 + side])), first, second, step]

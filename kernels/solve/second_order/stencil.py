@@ -20,8 +20,8 @@ def edges_at(weights: Any, starts: list, stride: Any, i: Any) -> list:
     """Return a, b and c of the edges of a pixel, each a list of E, W, S, N."""
     edge_indices = ((0, i), (0, i - 1), (1, i), (1, i - stride))
     return [
-        [bind(element(weights, index + starts[2 * kind + side])) for side, index in edge_indices]
-        for kind in range(3)
+        [bind(element(weights, index + starts[2 * term + side])) for side, index in edge_indices]
+        for term in range(3)
     ]
 
 

@@ -142,7 +142,7 @@ def _update(
         for index in range(height * blocks):
             stride = rho.shape[2] & INDEX_MASK
             starts = ti.static(component_starts(rho, max(WEIGHTS, 3 * count)))
-            kinds = ti.static(
+            penalties = ti.static(
                 ((alpha, inverse_slope, slope_square), (beta, inverse_crease, crease_square),
                  (gamma, inverse_jump, jump_square))
             )  # fmt: skip
@@ -153,8 +153,8 @@ def _update(
                 )
             )
             _update_block(
-                terms, anchors, edges, rho, half_h, kinds, scales, count, weights, tensor, previous,
-                partial, stride, starts, index // blocks, index % blocks,
+                terms, anchors, edges, rho, half_h, penalties, scales, count, weights, tensor,
+                previous, partial, stride, starts, index // blocks, index % blocks,
             )  # fmt: skip
     else:
         chunk = ti.static(1 if is_serial else CHUNK)
@@ -164,7 +164,7 @@ def _update(
                 band = task // chunk
                 stride = rho.shape[2] & INDEX_MASK
                 starts = ti.static(component_starts(rho, max(WEIGHTS, 3 * count)))
-                kinds = ti.static(
+                penalties = ti.static(
                     ((alpha, inverse_slope, slope_square), (beta, inverse_crease, crease_square),
                      (gamma, inverse_jump, jump_square))
                 )  # fmt: skip
@@ -179,7 +179,7 @@ def _update(
                 ):
                     for block in range(blocks):
                         _update_block(
-                            terms, anchors, edges, rho, half_h, kinds, scales, count, weights,
+                            terms, anchors, edges, rho, half_h, penalties, scales, count, weights,
                             tensor, previous, partial, stride, starts, row, block,
                         )  # fmt: skip
                     # The first column of a strip reads its western weight from the halo: the
@@ -191,7 +191,7 @@ def _update(
 @ti.func
 def _update_block(
     terms: ti.template(), anchors: ti.template(), edges: ti.template(), rho: ti.template(), half_h,
-    kinds: ti.template(), scales: ti.template(), count: ti.template(), weights: ti.template(),
+    penalties: ti.template(), scales: ti.template(), count: ti.template(), weights: ti.template(),
     tensor: ti.template(), previous: ti.template(), partial: ti.template(), stride,
     starts: ti.template(), row, block,
 ):  # fmt: skip
@@ -216,10 +216,10 @@ def _update_block(
                 [bind(element(rho, other_index + starts[k])) for k in range(COMPONENTS)]
             )
             squares = ti.static(_squares(center, neighbour, side, half_h))
-            for kind in ti.static(range(3)):
-                stiffness, inverse, squared = ti.static(kinds[kind])
-                index = i + starts[2 * kind + side]
-                square, old_weight = squares[kind], load(weights, index)
+            for weight_index in ti.static(range(3)):
+                stiffness, inverse, squared = ti.static(penalties[weight_index])
+                index = i + starts[2 * weight_index + side]
+                square, old_weight = squares[weight_index], load(weights, index)
                 full_weight = stiffness * g
                 root = ti.sqrt(1.0 + inverse * square)
                 factor = full_weight / (root * (1.0 + root))
