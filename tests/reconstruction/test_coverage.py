@@ -94,6 +94,14 @@ def test_shares_are_those_of_the_nearest_points():
     assert cover.explained_area({(0, 1): np.ones(4, bool)}) == pytest.approx(1)
 
 
+def test_grid_points_are_the_middles_of_equal_squares():
+    points = grid_points((90, 120))
+    np.testing.assert_allclose(points.mean(axis=0), (119 / 2, 89 / 2))
+    for positions, length in zip(points.T, (120, 90), strict=True):
+        across = np.unique(positions)
+        np.testing.assert_allclose(np.diff(across), length / len(across))
+
+
 def test_no_matches_give_no_coverage():
     assert Coverage([], {}, SHAPE).explained_area({}) == 0
     points = np.empty((0, 2))

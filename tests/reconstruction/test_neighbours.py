@@ -26,6 +26,12 @@ def test_frames_of_enough_parallax_are_chosen_and_from_both_sides():
     assert (np.abs(3 * apart) <= 0.2 * SHAPE[1]).all()
 
 
+def test_little_parallax_from_the_other_side_is_better_than_more_from_the_same():
+    poses = line([0.0, 0.05, 0.06, -0.02])
+    first, second = choose_neighbours(poses, 0, 1.0, CAMERA, SHAPE, max_count=2)
+    assert first in (1, 2) and second == 3
+
+
 def test_far_points_take_frames_with_a_larger_baseline():
     poses = line(0.01 * np.arange(-40, 41))
     near, far = (

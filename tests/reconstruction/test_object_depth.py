@@ -1,6 +1,7 @@
 """Depth of an object from the part of the frames that shows it, compared with whole frames."""
 
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -77,6 +78,12 @@ def test_depth_of_an_object_equals_that_of_whole_frames(where):
     rows, columns = own_path._bounding_box(frames, range(COUNT))
     assert rows.start % BOX_ALIGNMENT == columns.start % BOX_ALIGNMENT == 0
     assert rows.stop <= SIZE[0] and columns.stop <= SIZE[1]
+
+
+def test_image_motion_is_unknown_after_a_frame_without_the_object():
+    frames = SimpleNamespace(camera=Camera(), shape=SIZE, flow=lambda number: number)
+    seen = own_path._ObjectFrames(frames, [2, 3, 5, 6], 1)
+    assert [seen.flow(number) for number in range(4)] == [None, 3, None, 6]
 
 
 def test_flow_is_computed_again_for_corrected_frames(tmp_path):

@@ -13,7 +13,14 @@ from tests.reconstruction.films import path_error
 from tests.rendered import bodies_film
 from tisfm.formats import FormatError
 from tisfm.reconstruction.frames.image_motion import TRACKING_SETTINGS, ImageMotion
+from tisfm.reconstruction.objects.identities import ObjectTracker
 from tisfm.reconstruction.objects.sequence_labels import SequenceLabels, enlarge_labels
+from tisfm.reconstruction.objects.tracked_objects import (
+    TrackedObject,
+    final_labels,
+    mask_position,
+    most_similar_object,
+)
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.scenes import bodies_path
 
@@ -209,6 +216,66 @@ def test_labels_are_enlarged_to_the_size_of_frames(shape):
     assert (large[11:23, 13:39] == 3).all()
     assert not large[:9].any()
     np.testing.assert_array_equal(enlarge_labels(small, 1.0, small.shape), small)
+
+
+def tracked(number, frames, *, core_frames=4, velocity=(10.0, 0.0), pixel_count=100):
+    """Return a square that was seen in these frames."""
+    mask = np.zeros((100, 200), bool)
+    mask[40:60, 80:100] = True
+    return TrackedObject(
+        id=number,
+        last_frame=frames[-1],
+        mask=mask,
+        velocity=np.array(velocity),
+        histogram=np.array([0.5, 0.5, 0.0]),
+        core_frames=core_frames,
+        pixel_count=pixel_count,
+        motions=dict.fromkeys(frames, np.array(velocity)),
+        positions=dict.fromkeys(frames, mask_position(mask)),
+    )
+
+
+def test_labels_are_for_objects_with_a_core_in_enough_frames():
+    objects = {
+        1: tracked(1, range(10)),
+        2: tracked(2, range(3)),
+        3: tracked(3, range(10), core_frames=2),
+        4: tracked(4, range(10), core_frames=3),
+    }
+    assert final_labels(objects, {}, 10).tolist() == [0, 1, 0, 0, 2]
+    assert final_labels(objects, {}, 3).tolist() == [0, 1, 2, 3, 4]  # a short sequence
+
+
+@pytest.mark.parametrize(
+    ("velocity", "touching", "labels"),
+    [((10, 2), 7, [0, 1, 1]), ((10, 2), 5, [0, 1, 2]), ((-10, 0), 10, [0, 1, 2])],
+)
+def test_parts_of_an_object_touch_and_move_alike(velocity, touching, labels):
+    objects = {
+        1: tracked(1, range(10), pixel_count=50),
+        2: tracked(2, range(10), velocity=velocity),
+    }
+    assert final_labels(objects, {(1, 2): touching}, 10).tolist() == labels
+
+
+def test_object_reappears_where_its_velocity_leads():
+    hidden = tracked(7, range(5))
+    ahead, behind = (np.array([89.5 + way, 49.5, 20.0]) for way in (40, -40))
+    assert most_similar_object([hidden], 8, ahead, hidden.histogram) == 7
+    assert most_similar_object([hidden], 8, behind, hidden.histogram) == 0
+    assert most_similar_object([hidden], 8, ahead, np.array([0.1, 0.1, 0.8])) == 0
+    assert most_similar_object([hidden], 4, ahead, hidden.histogram) == 0  # it is still seen
+    assert (
+        most_similar_object([hidden], 21, np.add(ahead, (130, 0, 0)), hidden.histogram) == 0
+    )  # too late
+
+
+def test_mask_in_the_next_frame_is_moved_by_the_velocity():
+    square = tracked(1, range(5), velocity=(10.0, -4.0))
+    moved = np.roll(square.mask, (-4, 10), axis=(0, 1))
+    np.testing.assert_array_equal(ObjectTracker._predicted_mask(square, enlarge=False), moved)
+    enlarged = ObjectTracker._predicted_mask(square)
+    assert enlarged[moved].all() and enlarged.sum() > moved.sum()
 
 
 def test_json_of_an_object():

@@ -224,6 +224,21 @@ def test_guess_stays_if_no_adjustment_succeeds(monkeypatch, name, answer):
     assert (result.piece == 0).any()
 
 
+@pytest.mark.parametrize("spread", [0.01, 0.03])
+def test_deviation_is_a_share_of_the_spread_of_the_parts(monkeypatch, spread):
+    parts = iter([(100 * math.exp(sign * spread), sign * 0.002) for sign in (1, -1) * 3])
+    for name, answer in (
+        ("_focal_and_radial", lambda model: (100.0, 0.0)),
+        ("_split", lambda *_: [None] * 6),
+        ("_calibrate_part", lambda *_: next(parts)),
+    ):
+        monkeypatch.setattr(self_calibration, name, answer)
+    found = self_calibration._estimate_focal(None, Camera(), SIZE, "radial")
+    share = self_calibration.CALIBRATION.spread_to_deviation
+    assert found.deviation == pytest.approx(100 * share * spread)
+    assert found.radial_deviation == pytest.approx(share * 0.002)
+
+
 @pytest.mark.parametrize(("first", "best"), [(0.4, 0.6), (0.55, 0.55), (0.0, 0.6)])
 def test_path_that_explains_little_is_begun_with_another_focal_length(first, best):
     """Focal lengths of 100, 42 and 240 px have scores of 0.45, 0.6 and 0.3."""

@@ -9,6 +9,7 @@ from tisfm.rigid import pose_matrix
 from tisfm.shutter import (
     GlobalShutterFrameMap,
     RollingShutterMotion,
+    frame_instants,
     motion_rates,
     move_by_twist,
     points_at_middle_row,
@@ -29,6 +30,14 @@ def test_points_are_moved_as_rigid_motions_move_them(twist):
     times = np.linspace(-1.5, 2, 7)
     for point, time, found in zip(points, times, move_by_twist(points, twist, times), strict=True):
         np.testing.assert_allclose(found, moved(point, time * twist), atol=1e-12)
+
+
+def test_times_of_every_second_frame_are_in_intervals_of_the_source():
+    numbers = [0, 2, 4, 6]
+    instants = frame_instants(numbers, [1.0, 1.08, 1.16, 1.28])  # the last frame is late
+    np.testing.assert_allclose(instants, [0, 2, 4, 7])
+    for times in ([1.0, None, 1.16, 1.28], [1.0, 1.08, 1.08, 1.28]):
+        np.testing.assert_array_equal(frame_instants(numbers, times), numbers)
 
 
 def test_rates_of_a_steady_motion_are_its_twist():

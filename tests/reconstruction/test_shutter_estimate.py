@@ -5,7 +5,7 @@ import pytest
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.rolling_shutter.correction import _is_significant
-from tisfm.reconstruction.rolling_shutter.readout import estimate_readout
+from tisfm.reconstruction.rolling_shutter.readout import _collect_observations, estimate_readout
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 from tisfm.rigid import pose_matrix
@@ -124,6 +124,18 @@ def test_estimate_does_not_depend_on_the_axes():
     )
     assert here.readout == pytest.approx(there.readout, abs=1e-3)
     assert here.deviation == pytest.approx(there.deviation, rel=1e-2)
+
+
+def test_point_with_two_positions_in_a_view_is_left_out():
+    nothing = Observations(points=np.empty((0, 2)), tracks=np.empty(0, np.int64))
+    positions = np.random.default_rng(0).uniform(0, 200, (3, 3, 2))
+    views = [View(frame=k, observations=nothing, detected=positions[k]) for k in range(3)]
+    # The second and the third point of view 0 match the same point of view 1.
+    matches = {(0, 1): [[0, 0], [1, 1], [2, 1]], (1, 2): [[0, 0], [1, 1]]}
+    pairs = {key: np.array(value) for key, value in matches.items()}
+    found = _collect_observations(views, pairs, range(3))
+    assert found.view.tolist() == [0, 1, 2] and found.point.tolist() == [0, 0, 0]
+    np.testing.assert_array_equal(found.position, positions[:, 0])
 
 
 def test_views_without_common_points_give_no_readout():

@@ -61,6 +61,11 @@ def test_points_without_a_ray_are_left_out():
     assert triangulate_tracks(seen, {}, CAMERA, SHAPE) == {}
 
 
+def test_rays_that_meet_behind_the_camera_have_no_point():
+    poses, behind = along(5), points_ahead() * (1, 1, -1)
+    assert triangulate_tracks(seen_by(poses, behind), dict(enumerate(poses)), CAMERA, SHAPE) == {}
+
+
 def test_depths_are_those_before_the_camera():
     poses, points = along(5), points_ahead()
     seen = seen_by(poses, points)

@@ -13,8 +13,14 @@ from tisfm.reconstruction.frames.image_motion import (
     flow_scale,
     shrink_for_flow,
 )
+from tisfm.reconstruction.tracks import tracker as point_tracker
 from tisfm.reconstruction.tracks.settings import TRACKS
-from tisfm.reconstruction.tracks.tracker import Tracker, choose_new_points, keep_first_in_squares
+from tisfm.reconstruction.tracks.tracker import (
+    Tracker,
+    choose_new_points,
+    keep_first_in_squares,
+    track_points,
+)
 
 CAMERA = Camera(focal=192.0)
 
@@ -64,6 +70,24 @@ def test_tracks_are_the_same_with_precomputed_flow():
     assert len(here) < 0.1 * len(first.tracks)
 
 
+def test_points_follow_the_flow_of_frames_of_half_the_size():
+    points = choose_new_points(picture((0, 0)), np.empty((0, 2)), None, 8)
+    flow = np.full((120, 160, 2), (-3, 1.5), np.float32)
+    moved, is_tracked = track_points(picture((0, 0)), picture((6, -3)), points, flow)
+    assert is_tracked.mean() > 0.8
+    np.testing.assert_allclose((moved - points)[is_tracked], [(-6, 3)] * is_tracked.sum(), atol=0.2)
+
+
+def test_points_that_return_beside_their_start_are_lost(monkeypatch):
+    points, flow = np.array([[100.0, 80.0], [150.0, 120.0]]), np.zeros((240, 320, 2), np.float32)
+    searches = iter([points, np.add(points, [(0.4, 0), (0, 0.6)])])  # there, and back
+    monkeypatch.setattr(
+        point_tracker, "_search_points", lambda *_: (next(searches), np.ones(2, bool))
+    )
+    _, is_tracked = track_points(picture((0, 0)), picture((0, 0)), points, flow)
+    assert is_tracked.tolist() == [True, False]
+
+
 def test_first_of_meeting_tracks_continues():
     points = np.array([[10.2, 5.0], [12.9, 5.1], [10.5, 5.3], [40.0, 5.0]])
     assert keep_first_in_squares(points, 6.0).tolist() == [0, 1, 3]
@@ -75,6 +99,15 @@ def test_no_track_begins_on_ignored_pixels():
     begun = choose_new_points(picture((0, 0)), np.empty((0, 2)), ignored, TRACKS.cells)
     assert len(begun) > 100
     assert (begun[:, 0] >= 160).all()
+
+
+def test_tracks_end_on_ignored_pixels():
+    tracker, ignored = Tracker(CAMERA, TRACKING_SETTINGS), np.zeros((240, 320), bool)
+    ignored[:, :160] = True
+    first, flow = tracker.track(picture((0, 0))), np.zeros((240, 320, 2), np.float32)
+    second = tracker.track(picture((0, 0)), ignored, flow)
+    assert (first.points[:, 0] < 155).sum() > 100
+    assert (second.points[:, 0] > 159).all() and len(first.common_tracks(second)[0]) > 100
 
 
 @pytest.mark.parametrize("width", [1241, 1240])

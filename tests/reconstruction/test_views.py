@@ -2,13 +2,14 @@
 
 import numpy as np
 
+from tests.noise import moving_noise
 from tests.reconstruction.films import walk
 from tisfm.camera import Camera
 from tisfm.reconstruction.frames.image_motion import TRACKING_SETTINGS
 from tisfm.reconstruction.tracks import retrieval as loops
 from tisfm.reconstruction.tracks.retrieval import ImageDescriptors, find_similar_views
 from tisfm.reconstruction.tracks.tracker import Observations, Tracker
-from tisfm.reconstruction.tracks.views import View, ViewSelection
+from tisfm.reconstruction.tracks.views import View, ViewSelection, _detect_features
 
 CAMERA = Camera(focal=144.0)
 
@@ -44,6 +45,21 @@ def test_frame_becomes_a_view_after_tracks_moved():
     assert views.needs_view(Observations(points=np.add(points, (9, 0)), tracks=tracks), 320)
     assert views.needs_view(Observations(points=points[:15], tracks=tracks[:15]), 320)
     assert not views.needs_view(Observations(points=points[:20], tracks=tracks[:20]), 320)
+
+
+def test_points_found_on_the_halved_frame_are_in_px_of_the_frame():
+    half = np.rint(moving_noise(256, 256, (0, 0))[0].clip(0, 255)).astype(np.uint8)
+    found = _detect_features(half.repeat(2, axis=0).repeat(2, axis=1), None).points
+    assert len(found) > 100
+    np.testing.assert_allclose(found, 2 * _detect_features(half, None).points + 0.5)
+
+
+def test_ignored_pixels_have_no_points():
+    grey = np.rint(moving_noise(256, 256, (0, 0))[0].clip(0, 255)).astype(np.uint8)
+    ignored = np.zeros(grey.shape, bool)
+    ignored[:128] = True
+    whole, found = _detect_features(grey, None).points, _detect_features(grey, ignored).points
+    np.testing.assert_array_equal(found, whole[np.rint(whole[:, 1]) >= 128])
 
 
 def test_views_on_disk_are_those_in_memory():

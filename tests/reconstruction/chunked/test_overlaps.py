@@ -8,6 +8,7 @@ import pytest
 import tisfm
 from tests.reconstruction.films import along
 from tisfm.reconstruction.chunks import overlaps
+from tisfm.reconstruction.chunks.joining import ChunkResult, place_chunks
 from tisfm.reconstruction.chunks.overlaps import (
     overlap_sim3,
     scale_from_depth,
@@ -124,6 +125,24 @@ def test_uncertain_depth_is_ignored(both):
     first, second = both
     second.deviation = 0.5 * second.inverse
     assert scale_from_depth(first, second, SHARED) is None
+
+
+def test_joined_result_has_the_unit_of_its_first_keyframe(tmp_path):
+    """The first chunk has no keyframe; a unit of the second is 1.7 units of the first."""
+    poses = along(12)
+    there = np.array([transform_pose(np.linalg.inv(SIMILARITY), pose) for pose in poses[4:]])
+    parts = []
+    for begin, path, keyframes in ((0, poses[:8], ()), (4, there, (3, 6))):
+        result = chunk(tmp_path / str(begin), path, np.empty(0), with_depth=())
+        result.piece, result.unit, result.keyframes = np.zeros(8, int), (1.0,), keyframes
+        parts.append(ChunkResult(result=result, frames={begin + k: k for k in range(8)}))
+    found = place_chunks(parts, has_given_poses=False)
+    assert [placement.part for placement in found] == [0] * 6 + [1] * 6
+    assert [placement.number for placement in found] == [*range(6), *range(2, 8)]
+    expected = np.linalg.inv(poses[0]) @ poses
+    expected[:, :3, 3] /= 1.7
+    np.testing.assert_allclose([placement.pose for placement in found], expected, atol=1e-9)
+    np.testing.assert_allclose([placement.scale for placement in found], [1 / 1.7] * 6 + [1] * 6)
 
 
 def test_positions_of_different_paths_give_no_scale():
