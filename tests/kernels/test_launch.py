@@ -169,7 +169,7 @@ runtime.start()
 try:
     launch()
 except RuntimeError as error:
-    assert "bind it again" in str(error), error
+    assert "bind the launch again" in str(error), error
 else:
     raise AssertionError("it ran")
 multiply.bind(grid, factor, array)()
