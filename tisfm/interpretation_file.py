@@ -191,7 +191,8 @@ def _read_packings(file: NpzFile, about: Any) -> dict[str, Packing]:
     """Return the packing of each packed array, by its name."""
     if not isinstance(about, dict) or not set(about) <= set(_PACKED_TYPES):
         raise InputError(
-            f"packed arrays are {about!r}: expected some of {', '.join(_PACKED_TYPES)}"
+            f"its entry 'packed' is {about!r}, expected a dict of packings, whose keys are some of "
+            f"{', '.join(_PACKED_TYPES)}: the file is damaged, so copy it again"
         )
     packings = {}
     for name, packing in about.items():
@@ -231,7 +232,10 @@ def _read_about(file: NpzFile) -> dict[str, Any]:
         raise InputError(f"it has no {', '.join(missing_names)}")
     text = file.read("about", max_bytes=_MAX_ABOUT_BYTES)
     if text.dtype.kind != "U" or text.shape != ():
-        raise InputError(f"about is {text.shape} {text.dtype}, expected one text")
+        raise InputError(
+            f"its entry 'about' is an array of the shape {text.shape} and the type {text.dtype}, "
+            "expected a single text: the file is damaged, so copy it again"
+        )
     # NumPy accepts any numbers as characters, but Python's own functions fail on some.
     characters = np.frombuffer(text.tobytes(), np.dtype("u4").newbyteorder(text.dtype.byteorder))
     if (characters > sys.maxunicode).any():

@@ -193,7 +193,10 @@ def check_pose(
             "to frame 1's, or (3, 3), its rotation alone"
         )
     if not np.isfinite(matrix).all():
-        raise InputError("pose has a value that is NaN or infinite")
+        raise InputError(
+            "pose has a value that is NaN or infinite: give finite numbers, or, if the pose is "
+            "unknown, leave pose out"
+        )
     if matrix.shape == (4, 4) and not np.allclose(
         matrix[3], (0, 0, 0, 1), rtol=0, atol=_ORTHONORMALITY_TOLERANCE
     ):

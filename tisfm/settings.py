@@ -46,15 +46,17 @@ class Settings:
     model : {"rigid", "translation"}
         Unknowns per pixel: (τ, ω), eq. 23, or τ alone, eq. 16.
     motion : {"field", "camera", "objects"}
-        Motion model: ``"field"`` has a free ρ̂ at every pixel, as in the paper; ``"camera"`` has one
-        rigid motion for the whole image, and inverse depth at every pixel; ``"objects"`` has
-        several rigid motions, a label per pixel, and inverse depth in the unit of each motion.
+        Motion model: ``"field"`` has a free ρ̂ = f·(τ, ω) at every pixel, as in the paper, with the
+        translation over depth τ = T/Z and the rotation ω; ``"camera"`` has one rigid motion for the
+        whole image, and inverse depth at every pixel; ``"objects"`` has several rigid motions, a
+        label per pixel, and inverse depth in the unit of each motion.
     smoothness : float
         λ̂, weight of the regularisation. It has no unit if constraints are normalised; without
         `normalization`, λ̂ = λ/f² on the 8-bit grey scale: the paper's λ = 1e8 at f = 600 is 278.
         In [1e-6, 1e12].
     beta : float
-        β of eq. 12; smoothness and β enter as α = λ̂β, which must be in [1e-6, 1e12] too.
+        β of eq. 12, a factor of the smoothness: its effective weight is α = λ̂β, which must be in
+        [1e-6, 1e12] too.
     contrast : float or None
         δ, px/frame: a larger difference between neighbours is an edge. In [1e-3, 1e6]: with smaller
         values, rounding in float32 can make the energy rise. It is the same at every level. None
@@ -78,9 +80,10 @@ class Settings:
         Weight of the constancy of the brightness gradient, on which changes of illumination have
         little effect; 0 in the paper.
     normalization : float or None
-        ζ, as a share of the mean |ΔI| between neighbours in frame 0. Every constraint is divided
-        by |∇I|² + ζ²; it is then a distance in px, independent of the contrast and the scale of
-        grey levels. None for no division, as in the paper.
+        ζ, as a share of the mean |ΔI| between neighbours in frame 0. A constraint says that a pixel
+        keeps its brightness, or its gradient, along the flow. Each is divided by √(|∇I|² + ζ²); its
+        residual is then a distance in px, independent of the contrast and the scale of grey levels.
+        None for no division, as in the paper.
     data_contrast : float or None
         ε, px/frame (grey levels without `normalization`): the cost of larger residuals grows
         linearly instead of quadratically (Charbonnier). None for squares, as in the paper.
@@ -111,11 +114,12 @@ class Settings:
         Number of levels; 1 for a single scale, None for as many as keep the shorter side at
         about 12 px.
     finest_level : int
-        Last level to compute; 0 is the finest. Its motion, confidence and deviation of depth are
-        interpolated to the frame, and occlusion uses residuals of the frames at this level. 1 with
-        a `pyramid_factor` of ½ leaves a quarter of the pixels to compute, and blurs motion over two
-        pixels. Numbers beyond the coarsest level stand for the coarsest level. If the parallax is
-        large, ``motion="camera"`` goes on to a finer level. ``motion="objects"`` always uses 0.
+        Last level to compute; 0 is the finest. Motion, confidence and deviation of depth are
+        interpolated from this level to the frame. Occlusion is decided by the residuals of this
+        level. With a `pyramid_factor` of ½, level 1 has a quarter of the pixels, and motion is
+        blurred over two pixels. A number beyond the coarsest level stands for the coarsest level.
+        If the parallax is large, ``motion="camera"`` goes on to a finer level. ``motion="objects"``
+        always uses 0.
     warps : int
         Linearisations on the last level; at least 2 with ``motion="objects"``.
     coarse_warps : int

@@ -68,7 +68,7 @@ def test_sequences_are_reconstructed_with_the_options_of_the_list(tisfm_run, fra
         ("source,output,colour\nframes,a,red\n", ["line 2", "colour"]),
         ("source,output,preset\nframes,a,slow\n", ["line 2", "slow"]),
         ('source,output\n"frames,a\n', ["is not a CSV file"]),
-        ("source,output,focal,focal\nframes,a,1,2\n", ["names a column twice"]),
+        ("source,output,focal,focal\nframes,a,1,2\n", ["names the column focal twice"]),
         ("source,output,mask\nframes,a,it's\n", ["line 2: No closing quotation"]),
     ],
 )

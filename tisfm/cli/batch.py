@@ -86,7 +86,8 @@ def read_jobs(path: Path) -> list[Job]:
             if not {SOURCE, OUTPUT} <= set(columns):
                 raise InputError(f"{path} has no columns source and output in its first line")
             if len(set(columns)) < len(columns):
-                raise InputError(f"{path} names a column twice in its first line")
+                repeated_name = max(columns, key=columns.count)
+                raise InputError(f"{path} names the column {repeated_name} twice in its first line")
             reader.fieldnames = columns
             for row in reader:
                 job = _parse_job(row, f"{path}, line {reader.line_num}", reader.line_num)

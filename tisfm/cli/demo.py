@@ -36,14 +36,16 @@ from tisfm.threads import usable_cores
 
 @dataclass(kw_only=True)
 class Demo:
-    """Render scenes with a known truth, interpret them, and print the errors.
+    """Render scenes with a known truth, estimate motion and depth, and print the errors.
 
     In the first scene the camera moves sideways, and two textured blocks on a floor move
     independently. A table compares the preset paper, the default preset, and the method of Horn and
     Schunck. In the second scene the camera moves forward and rotates in front of three static
-    blocks. A table compares the motions field and camera, and the motion objects on the first
-    scene. DIR receives the outputs of tisfm run for the first scene, and the paper's comparisons of
-    settings; DIR/camera and DIR/objects receive the outputs of these two motion models.
+    blocks. A second table compares three motion models. Two of them are applied to the second
+    scene: field, with a free motion at every pixel, and camera, with one rigid motion. The third,
+    objects, with a rigid motion of each object, is applied to the first scene. DIR receives the
+    outputs of tisfm run for the first scene, and comparisons of settings as in the paper of Sekkati
+    and Mitiche (2007). DIR/camera and DIR/objects receive the outputs of these two motion models.
     """
 
     output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")] = Path("tisfm-demo")

@@ -32,21 +32,22 @@ LayoutName = Literal[
 class Eval:
     """Compare results with the true flow, depth and poses of benchmarks.
 
-    The command interprets every pair in the folders and prints tables of errors. Errors of flow:
-    end-point error (EPE), angular error (AAE), outliers as KITTI defines them (Fl), and the share
-    of pixels with an error of 1 px or more (R1.0). If the dataset marks occluded pixels, also the
-    EPE without them (noc), and the F1 score of the estimated occlusion (occ F1). Errors of depth,
-    after scaling by the median: abs-rel, SILog, and the share of pixels within a factor of 1.25.
-    Errors of the pose, with --motion camera: the angle between the directions of translation, and
-    the angle between the rotations.
+    The command estimates image motion (flow), depth and 3D motion of every pair in the folders, and
+    prints tables of errors. Errors of flow: end-point error (EPE), angular error (AAE), outliers as
+    KITTI defines them (Fl), and the share of pixels with an error of 1 px or more (R1.0). If the
+    dataset marks occluded pixels, also the EPE without them (noc), and the F1 score of the
+    estimated occlusion (occ F1). Errors of depth, after scaling by the median: abs-rel, SILog, and
+    the share of pixels within a factor of 1.25. Errors of the pose, with --motion camera: the angle
+    between the directions of translation, and the angle between the rotations.
 
     Layouts for pairs: Middlebury, KITTI 2012 and 2015, Sintel, Yosemite, New Tsukuba, 7-Scenes,
     stereo pairs with a disparity, and folders of images/ with camera.txt, and poses.txt or depth/.
     Layouts for --sequence: New Tsukuba, 7-Scenes, TUM RGB-D, KITTI odometry, and such folders.
 
     With --sequence, the command reconstructs each sequence and compares its path (ATE, RPE, drift)
-    and its depth, with one scale for all frames. DIR receives NAME.tum, the path of the largest
-    piece, NAME-piece2.tum, the path of the next piece, and eval.json.
+    and its depth, with one scale for all frames. DIR receives eval.json and NAME.tum, the path. If
+    the path breaks, a new piece begins, with its own scale and coordinate system: NAME.tum is then
+    the path of the largest piece, NAME-piece2.tum the path of the next.
 
     With --objects, the command compares the masks of moving objects in a reconstruction with the
     true masks of a sequence, such as those of DAVIS: intersection over union of each object, and

@@ -44,8 +44,9 @@ class Export:
     nerfstudio. Points and surfaces: ply, glb, mesh-ply, mesh-glb. Lens: undistortion,
     undistortion-tiff. Every frame: depth-tum, depth-kitti, depth-exr, depth-tiff, depth-pfm,
     depth-dpt, masks. Videos: video-depth, video-flow, video-side-by-side, video-anaglyph,
-    video-wiggle. Paths and surfaces need a reconstruction, video-flow needs a run. If a sequence
-    fell into several pieces, each piece has its own file; the largest piece comes first.
+    video-wiggle. Paths and surfaces need a reconstruction, video-flow needs a run. Where the path
+    of a sequence broke, a new piece began, with its own scale and coordinate system: each piece has
+    its own file, and the largest piece comes first.
     """
 
     folder: Annotated[Positional[Path], arg(metavar="DIR")]
@@ -69,16 +70,16 @@ class Export:
     """Two frame numbers, from 0, and the distance between the positions of the camera at these
     frames. It sets the unit."""
     disparity: float | None = None
-    """For video-anaglyph and video-wiggle: disparity between the nearest and the farthest point, as
-    a share of the width. By default 0.03 between the eyes of an anaglyph, and 0.015 to either side
-    of the swinging camera."""
+    """For video-anaglyph, and for video-wiggle, whose camera swings from side to side: disparity
+    between the nearest and the farthest point, as a share of the width. By default 0.03 between the
+    eyes of the anaglyph, and 0.015 from the middle of the swing to either end."""
     screen: float | None = None
-    """For video-anaglyph and video-wiggle: the plane of the screen, whose points do not move, as a
-    quantile of the depth; 0 is the farthest point, 1 the nearest. By default the screen is twice as
-    far away as the nearest point."""
+    """For video-anaglyph and video-wiggle: share of the pixels, from 0 to 1, that appear behind the
+    screen; the others appear in front of it. By default the screen is twice as far away as the
+    nearest point."""
     screen_depth: float | None = None
-    """For video-anaglyph and video-wiggle: the plane of the screen as a depth, in the unit of the
-    result, instead of --screen."""
+    """For video-anaglyph and video-wiggle: depth of the screen, in the unit of the result, instead
+    of --screen."""
 
     def __call__(self) -> int:
         """Run the command and return the exit code."""

@@ -22,10 +22,11 @@ from tisfm.sources import FrameSource
 
 @dataclass(kw_only=True)
 class Figures:
-    """Draw the paper's comparisons of settings (its Fig. 6 and 8) for two of your frames.
+    """Draw comparisons of settings for two of your frames.
 
-    The figures show depth for λ = 1e8 and 1e9; with and without smoothing of the frames; and with
-    the paper's contrast, which has no effect, and the default contrast.
+    The comparisons are those of Fig. 6 and 8 in the paper of Sekkati and Mitiche (2007). They show
+    depth for the smoothness λ = 1e8 and 1e9; with and without smoothing of the frames; and with the
+    paper's contrast, which has no effect, and the default contrast.
     """
 
     frames: Annotated[Positional[tuple[str, str]], arg(metavar="FRAME FRAME")]

@@ -34,8 +34,9 @@ class CameraOptions:
     """The camera.json that tisfm reconstruct wrote for the same lens, or its folder."""
     focal: float | Literal["guess"] | None = None
     """Focal length, px of the frames before they are cropped or shrunk. guess computes it from the
-    EXIF data of the first image, or else from its size. By default tisfm reconstruct estimates it;
-    for pairs it is 600 with motion field, as in the paper, and a guess with other motions."""
+    EXIF data of the first image, or else from its size. The default depends on the command: tisfm
+    reconstruct estimates it; tisfm run guesses it for the motion models camera and objects, and
+    takes 600 for field; tisfm figures takes 600."""
     center: tuple[float, float] | None = None
     """Principal point (cx, cy), px. By default the centre of the image."""
     distortion: Annotated[str | None, arg(metavar="K1,K2,P1,P2[,K3...]")] = None
@@ -46,9 +47,9 @@ class CameraOptions:
     first resampled to square pixels."""
     readout: float | None = None
     """Readout time of a rolling shutter, as a share of the time between two frames: the delay from
-    the first row to the last; 0 if all rows are read at once. By default tisfm reconstruct
-    estimates it for motion camera; otherwise it is 0. The frames are corrected for it, except for
-    pairs with motion field or objects."""
+    the first row to the last; 0 if all rows are read at once. tisfm reconstruct corrects the frames
+    for it, and estimates it if it is not given, except for motion objects. tisfm run corrects the
+    frames for a given readout time, for motion camera alone."""
 
     def guess(self, motion: Motion) -> bool:
         """Return whether to guess the focal length."""
@@ -81,7 +82,11 @@ class CameraOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class SettingsOptions(Settings):
-    """Settings of the energy and its minimisation. The defaults shown are those of --preset."""
+    """Settings of the energy and its minimisation.
+
+    The defaults shown are those of --preset. The paper is Sekkati and Mitiche (2007),
+    doi:10.1016/j.robot.2006.11.006.
+    """
 
     def __post_init__(self) -> None:
         """Skip the checks: the parser would report their errors in its own words."""

@@ -47,10 +47,11 @@ class Reconstruct:
     SOURCE is a video, a folder of images in order, a quoted glob, or images. DIR receives
     reconstruction.json, path.npz, depth/ and frames/ for tisfm.Reconstruction.load, and the path as
     trajectory.txt (TUM: time tx ty tz qx qy qz qw) and poses.txt (KITTI: rows of (R | t), camera to
-    world). If the sequence falls into several pieces, these two files are of the largest. With
-    --ply, points.ply is a coloured point cloud; with --mesh, mesh.ply or mesh.glb is a surface;
-    both show points on which several keyframes agree. With --motion objects, masks/ has the moving
-    object at each pixel, and objects.json the paths of the objects.
+    world). Where the path breaks, for instance at a cut, a new piece begins, with its own scale and
+    coordinate system: these two files are of the largest piece. With --ply, points.ply is a
+    coloured point cloud; with --mesh, mesh.ply or mesh.glb is a surface; both show points on which
+    several keyframes agree. With --motion objects, masks/ has the moving object at each pixel, and
+    objects.json the paths of the objects.
     """
 
     source: Annotated[
@@ -61,8 +62,8 @@ class Reconstruct:
     output: Annotated[Path, arg(aliases=["-o"], metavar="DIR")]
     """Folder for the results: new, empty, or with an earlier reconstruction, which is replaced."""
     preset: Preset = "balanced"
-    """fast, balanced or accurate: more accuracy takes more time. paper is the method of the paper,
-    for motions of up to about one pixel."""
+    """fast, balanced or accurate: more accuracy takes more time. paper is the method of Sekkati and
+    Mitiche (2007), for motions of up to about one pixel."""
     calibrate: Calibrate | None = None
     """Values of the camera to estimate from the frames. focal: the focal length, starting from
     --focal if given. radial: also one coefficient of the lens distortion, which is then removed.

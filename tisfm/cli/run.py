@@ -26,7 +26,7 @@ Output = Literal["depth", "depth16", "flow", "anaglyph", "figure", "ply", "pose"
 
 @dataclass(kw_only=True)
 class Run:
-    """Interpret every pair of consecutive frames of a sequence.
+    """Estimate image motion, depth and 3D motion of every pair of consecutive frames.
 
     SOURCE is two or more images, a folder of images, a quoted glob such as 'frames/*.png', a video,
     or webcam:0, the camera of this computer. NAME is the name of the first frame of a pair. For
@@ -67,9 +67,9 @@ class Run:
     """For anaglyphs: disparity between the nearest and the farthest point, from one eye to the
     other, as a share of the width. By default 0.03."""
     screen: float | None = None
-    """For anaglyphs: the plane of the screen, as a quantile of the depth of the first pair with
-    depth; 0 is the farthest point, 1 the nearest. By default the screen is twice as far away as the
-    nearest point."""
+    """For anaglyphs: share of the pixels, from 0 to 1, that appear behind the screen, in the first
+    pair with depth; the others appear in front of it. By default the screen is twice as far away as
+    the nearest point."""
     flo: bool = False
     """Write NAME_flow.flo, the image motion without rounding. NAME.npz has it rounded."""
     ply: bool = False

@@ -76,7 +76,10 @@ def _load_calibrated(folder: Path) -> LoadedSequence:
     if path.is_file():
         poses = read_kitti(path).poses
         if len(poses) != len(frames):
-            raise FormatError(f"{path} has {len(poses)} poses, but there are {len(frames)} images")
+            raise FormatError(
+                f"{path} has {len(poses)} poses, but there are {len(frames)} images: expected a "
+                "line for each image"
+            )
     depth_maps = {file.stem: file for file in find_files(folder / "depth", "*.png")}
     calibration = read_calibration(folder / "camera.txt")
     return LoadedSequence(
@@ -118,7 +121,10 @@ def _load_kitti_odometry(folder: Path) -> LoadedSequence:
     path = _kitti_pose_file(folder)
     poses = read_kitti(path).poses
     if len(poses) != len(frames):
-        raise FormatError(f"{path} has {len(poses)} poses, but there are {len(frames)} images")
+        raise FormatError(
+            f"{path} has {len(poses)} poses, but there are {len(frames)} images: expected a line "
+            "for each image"
+        )
     times_file, times = folder / "times.txt", None
     if times_file.is_file():
         numbers = [number for _, (number,) in read_rows(times_file, columns=1)]

@@ -61,7 +61,8 @@ def read_tagged(
     if len(data) != expected:
         fault = "cut off" if len(data) < expected else "too long"
         raise FormatError(
-            f"{name} is {fault}: {len(data)} bytes, expected {expected} for {width} x {height} px"
+            f"{name} is {fault}: {len(data)} bytes, expected {expected} for {width} x {height} px; "
+            "copy or download it again"
         )
     values = np.frombuffer(data, dtype="<f4", offset=_HEADER.size)
     return values.astype(np.float32).reshape(height, width, channels)

@@ -190,7 +190,10 @@ class NpzFile:
         """Raise FormatError for a part of another compression, or longer than the file."""
         name = part.filename.removesuffix(_PART_SUFFIX)
         if part.compress_type not in allowed_compressions or part.flag_bits & _ENCRYPTED_FLAG:
-            raise FormatError(f"{self.name} has {name} compressed or encrypted: unpack it")
+            raise FormatError(
+                f"{self.name} has its array {name} compressed or encrypted, which is not read: "
+                "save the arrays again with numpy.savez"
+            )
         if part.compress_type == zipfile.ZIP_STORED and part.file_size > self.length:
             raise FormatError(f"{self.name} has parts longer than the whole file")
 

@@ -59,7 +59,10 @@ class Packing:
         Raises ValueError if `about` is anything else.
         """
         if not isinstance(about, dict) or set(about) != {"shape", "of", "step"}:
-            raise InputError(f"is packed as {about!r}, expected shape, of and step")
+            raise InputError(
+                f"has the packing {about!r}, expected a dict with the keys 'shape', 'of' and "
+                "'step': the file is damaged, so copy it again"
+            )
         shape, integer_type, step = about["shape"], about["of"], about["step"]
         if not isinstance(shape, list) or any(type(side) is not int or side < 1 for side in shape):
             raise InputError(
