@@ -15,10 +15,10 @@ from tisfm.errors import InputError, InputTypeError
 
 __all__ = ["FocalGuess", "GuessedFocalWarning", "guess_camera", "guess_focal"]
 
-# Focal length over the longer side: a field of view of 45°, between phones and other cameras.
+# Focal length divided by the longer side: a view of 45°, between phones and other cameras.
 DEFAULT_FOCAL_RATIO = 1.2
 FILM_DIAGONAL = math.hypot(36, 24)  # mm
-# Focal length over the longer side: EXIF data outside this range are wrong.
+# Focal length divided by the longer side: EXIF data outside this range are wrong.
 FOCAL_RATIO_RANGE = (0.1, 100)
 _SIDEWAYS_ORIENTATIONS = (5, 6, 7, 8)  # orientations in EXIF data that exchange height and width
 # mm, by the code of the unit of resolution in EXIF data: inch, cm, mm and µm

@@ -18,7 +18,7 @@ from tisfm.rigid import rigid_twist
 
 # All of these were set by hand.
 MIN_DEPTH = 1e-6  # smallest Z of a visible point
-MAX_GAP_RATIO = 2.0  # gap between frames over the median gap: longer gaps give no rate
+MAX_GAP_RATIO = 2.0  # gap between frames divided by the median gap: longer gaps give no rate
 NODES_ON_LONGER_SIDE = 33  # between these nodes, displacements are interpolated
 ROW_ITERATIONS = 4  # iterations to find the row in which a pixel was read
 

@@ -112,7 +112,7 @@ def triangulate(
     for _ in range(GAUSS_NEWTON_ITERATIONS):
         residual, jacobian = _linearise(points, image_points, matrices, focal, centers, depth)
         distance = np.hypot(residual[..., 0], residual[..., 1])
-        # Huber's weight over the variance
+        # Huber's weight divided by the variance
         weight = np.where(is_observed, 1 / np.maximum(distance, NOISE) / NOISE, 0)
         matrix = np.einsum("nm,nmki,nmkj->nij", weight, jacobian, jacobian, optimize=True)
         vector = np.einsum("nm,nmki,nmk->ni", weight, jacobian, residual, optimize=True)

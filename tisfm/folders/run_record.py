@@ -38,7 +38,7 @@ ENDINGS = {
 """Endings of the files of a pair, by output."""
 RANGE_KEYS = ("depth16_values_per_unit", "depth_range", "flow_limit", "screen_at")
 _MIN_WRITE_INTERVAL = 1.0  # s between two writings of the record; set by hand
-_MIN_INTERVAL_RATIO = 20.0  # this interval over the duration of the last writing; set by hand
+_MIN_INTERVAL_RATIO = 20.0  # this interval divided by the time of a writing; set by hand
 _COLUMNS = (
     "pair", "status", "message", "time0", "time1", "speed", "occluded", "confidence", "tx", "ty",
     "tz", "rx", "ry", "rz",

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from tisfm.checks import check_unmasked
 from tisfm.errors import InputError
 
-# Spread of points over their largest coordinate: with less spread they count as one point.
+# Spread of points divided by their largest coordinate: with less spread they are one point.
 _MIN_SPREAD = 1e-12
 
 

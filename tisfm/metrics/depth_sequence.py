@@ -11,8 +11,8 @@ from tisfm.metrics.valid_pixels import is_known
 CERTAIN_SHARE = 0.4  # share of the pixels: those with the smallest relative deviation
 MAX_ERROR = 3.0  # relative error to which the error of a pixel is limited
 MAX_DEPTH_DIFFERENCE = 0.02  # relative difference of two depths of one visible point
-MIN_DEPTH_RATIO = 0.1  # lower limit of an estimate over the smallest true depth
-MAX_DEPTH_RATIO = 10.0  # upper limit of an estimate over the largest true depth
+MIN_DEPTH_RATIO = 0.1  # lower limit of an estimate, divided by the smallest true depth
+MAX_DEPTH_RATIO = 10.0  # upper limit of an estimate, divided by the largest true depth
 
 
 def limited_error(inverse_depth: ArrayLike, truth: ArrayLike, *, scale: float = 1.0) -> float:

@@ -53,7 +53,7 @@ class EpipolarPoints:
     """The points of epipolar lines that are nearest to the rays of frame 1, (N,) each."""
 
     inverse_depth: np.ndarray  # inverse depth d of the point in frame 0
-    # x, y, nearness: normalised coordinates of the point R x̂ + d t, and 1 over its third component
+    # x, y, nearness: normalised coordinates of the point R x̂ + d t, and 1/(its third component)
     x: np.ndarray
     y: np.ndarray
     nearness: np.ndarray

@@ -24,15 +24,15 @@ if TYPE_CHECKING:
     from matplotlib.legend import Legend
 
 # All numbers here are set by hand, by the look of the pictures.
-_PICTURE_TEXT_SHARE = 0.028  # text height around a picture, over the mean side of the axes
-_PLOT_TEXT_SHARE = 0.036  # text height around a plot, over the mean side of the axes
+_PICTURE_TEXT_SHARE = 0.028  # text height around a picture, divided by the mean side of the axes
+_PLOT_TEXT_SHARE = 0.036  # text height around a plot, divided by the mean side of the axes
 _MIN_TEXT_PIXELS = 9.0  # px: smaller text is hard to read
 _MAX_PIXELS_PER_AXES_PIXEL = 2  # finer pictures are reduced before they are drawn
 _MIN_REDUCED_PPI = 250  # pixels per inch of the figure: up to this resolution nothing is reduced
 _MARGIN = 0.3  # inches around the picture, in a figure with one picture
 _LEGEND_WIDTH = 1.0  # inches for a legend beside the picture
 _LEGEND_HEIGHT = 0.4  # inches for a legend below the picture
-_CHARACTER_WIDTH = 0.6  # mean width of a character over the text height
+_CHARACTER_WIDTH = 0.6  # mean width of a character divided by the text height
 _MAX_SIDE_RATIO = 12  # longer side over shorter side: a longer picture is widened to stay visible
 
 

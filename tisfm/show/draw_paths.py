@@ -38,9 +38,9 @@ PathView = Literal["above", "side"]
 # Set by hand.
 _MAX_POINTS = 2000  # points of a drawn line
 _SHADE_RANGE = 40, 215  # levels of the ramp, 0 to 255, that are visible on dark and light pages
-_HALF_SIDE_RATIO = 0.58  # half side of the plot over the largest extent of the path
-_MAX_LEGEND_WIDTH = 0.7  # width of a legend inside the axes, over the width of the axes
-# Extent of the plot over the largest extent of the path in space: small motion is not enlarged.
+_HALF_SIDE_RATIO = 0.58  # half side of the plot divided by the largest extent of the path
+_MAX_LEGEND_WIDTH = 0.7  # width of a legend inside the axes, divided by the axes' width
+# Extent of the plot divided by the largest extent of the path: small motion is not enlarged.
 _MIN_EXTENT = 0.35
 
 # For both axes of a plot: index and sign of the coordinate in space; then the names of both axes.

@@ -14,14 +14,14 @@ from tisfm.show.color_maps import inverse_depth_limit
 from tisfm.show.second_view import second_view
 
 DISPARITY = 0.03
-"""Default disparity budget: disparity of the nearest point against infinity, over the width."""
-MAX_DISPARITY = 0.2  # largest disparity that eyes can fuse, over the width; set by hand
+"""Default disparity budget: share of the width by which nearest point and infinity differ."""
+MAX_DISPARITY = 0.2  # share of the width: largest disparity that eyes can fuse; set by hand
 
 # Set by hand.
 _UPSAMPLING = 2  # columns per pixel, for shifts by half pixels and smooth edges
 _MIN_EDGE_CHANGE = 0.02  # change of nearness, in [0, 1], by interpolation at an edge of depth
 _SOFT_EDGE_WIDTH = 3  # px: width of the blurred edge of an object, which shifts with the object
-_MIN_CROP_SHARE = 0.5  # side of the picture without its border, over the side with the border
+_MIN_CROP_SHARE = 0.5  # side of a picture without its border, as a share of its side
 
 
 def stereo_view(

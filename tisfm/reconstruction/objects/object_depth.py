@@ -47,7 +47,7 @@ def find_object_scale(
             continue
         depth_map = np.where(object_pixels, depth.inverse_depth, background).astype(np.float32)
         depth_ratio = contact_scale(depth_map, labels, object_pixels & ~valid, object_id)
-        if depth_ratio is not None:  # inverse depth of the background over that of the object
+        if depth_ratio is not None:  # inverse depth of the background / that of the object
             contact_scales.append(1 / depth_ratio)
         window = np.ones((2 * OBJECTS.ring_width + 1,) * 2, np.uint8)
         ring = (cv2.dilate(np.uint8(object_pixels), window) > 0) & (labels == 0) & (background > 0)

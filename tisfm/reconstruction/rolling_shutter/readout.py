@@ -170,7 +170,7 @@ class _JointAdjustment:
         self._rotations, self._translations = poses[:, :3, :3].copy(), poses[:, :3, 3].copy()
         self._focal = camera.focal
         self._positions = observations.position - camera.center_for(*shape)
-        # Time of a row after the middle row, over the readout time
+        # Time of a row after the middle row, divided by the readout time
         self._row_delay = (observations.position[:, 1] - (shape[0] - 1) / 2) / shape[0]
         self._points = self._points_nearest_to_rays()
 
