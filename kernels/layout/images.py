@@ -95,7 +95,7 @@ def multiply(
     factor: LaneData,  # lane array, 1 component or as many as `out`
     out: LaneData,  # lane array
 ) -> Launch:
-    """Multiply a lane array in place, by one factor for each component or one for all."""
+    """Multiply a lane array in place, by a factor for each component or for all."""
     grid.check(out, out.shape[0], "out")
     grid.check(factor, factor.shape[0], "factor")
     if factor.shape[0] not in (1, out.shape[0]):

@@ -55,7 +55,7 @@ def program() -> Any:
 
 
 def configuration() -> Any:
-    """Return the options of the running program, or of the next one."""
+    """Return the options of the running program, or of the next program."""
     return impl.current_cfg()
 
 

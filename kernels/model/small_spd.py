@@ -70,7 +70,7 @@ def woodbury_solve(
     For grey images and three unknowns, the translation, this is eq. 18 of the paper that
     docs/method.md cites (its third line has s1 in place of s3). The denominator is at least 1, so
     only D needs a floor: it must be at least `DATA_FLOOR` times J. For a J of rank 1, rounding
-    makes det J differ from 0. The error of x is then up to ‖J M‖ times that of one rounding.
+    makes det J differ from 0. The error of x is then up to ‖J M‖ rounding errors.
     """
     j11, j12, j22 = tensor
     m11 = bind(_sum(a * a * d for (a, _), d in zip(columns, inverse, strict=True)))

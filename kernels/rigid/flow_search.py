@@ -82,12 +82,12 @@ class FlowSearch:
         spans: tuple[float, float],
         seed: int,  # seed of the random numbers
     ) -> None:
-        """Replace displacements by better ones, in place: first at red, then at black pixels.
+        """Improve displacements in place: first at red, then at black pixels.
 
-        Each pixel compares its displacement with those of eight neighbours, 1 and
-        `neighbour_distance` px away in four directions, and with `draws` random displacements
-        around it. Each draw has half the range of the previous draw; after the smallest range, the
-        largest follows again. No cost rises, and pixels that are not searched stay unchanged.
+        Each pixel compares its displacement with the displacements of eight neighbours, 1 and
+        `neighbour_distance` px away in four directions, and with `draws` random displacements near
+        its own. Each draw has half the range of the previous draw; the largest range follows the
+        smallest range. No cost rises, and pixels that are not searched stay unchanged.
         """
         self._check(state)
         if neighbour_distance % 2 != 1:

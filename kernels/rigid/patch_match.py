@@ -100,7 +100,7 @@ class PlaneSearch:
     ) -> None:
         """Replace planes by better planes, in place: first at red, then at black pixels.
 
-        Each pixel compares its plane with those of four neighbours, which in each direction is the
+        Each pixel compares its plane with the planes of four neighbours, in each direction the
         neighbour of least cost; with a random plane from the whole range; and with `draws` random
         planes near its own, each from half the range of the previous draw. No cost rises.
         """

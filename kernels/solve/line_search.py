@@ -168,7 +168,7 @@ def subtract(grid: LaneGrid, previous: LaneData, rho: LaneData) -> Launch:
     """Replace a corrected `rho` by the correction, in place, halo included.
 
     The difference must be stored in memory. As an expression inside `_plane_energy` it would be
-    reordered, with rounding errors as large as those of the unknowns, not of the correction.
+    reordered, with the rounding errors of the unknowns, which are larger than the correction's.
     """
     return _subtract[grid.lanes].bind(previous, rho)
 

@@ -79,7 +79,7 @@ class DepthSettings:
     max_brightness_difference: float = 2.4
     guess_distance: float = 4.0  # px/frame: depth that differs more from the guess costs more
     guess_cost: float = 0.05  # cost of such a depth, if the guess has no trust
-    # additional cost of such a depth for full trust; it decides where texture is missing
+    # addition to this cost, if the guess has full trust; it decides where texture is missing
     guess_cost_of_trust: float = 0.3
     step_cost: float = 0.3  # cost of a change between neighbours by one hypothesis
     jump_cost: float = 5.0  # cost of a larger change
@@ -169,7 +169,7 @@ class SparseSettings:
     """Motion from matched points, for frames too distant for a flow field."""
 
     # sparse_matches
-    # contrast of the detector: low, since rooms have few, faint points; matching removes wrong ones
+    # contrast of the detector: low, since rooms have few, faint points; matching drops wrong points
     min_contrast: float = 0.01
     max_pixels: int = 2**20  # a larger frame is matched on a coarser level
     cells: int = 16  # cells along a side of a square frame of the same area
@@ -245,7 +245,8 @@ class ProposalSettings:
     # variance of an evaluated window divided by the variance of the noise
     min_judged_variance: float = 6.0
     # share of poor pixels from which the whole frame is searched: at most 0.06 if motion is right,
-    # 0.11 and more if much of it is missed. Below it, only fast objects are searched.
+    # 0.11 and more if the flow misses much of it. With a smaller share, only fast objects are
+    # searched.
     min_poor_share: float = 0.08
     target_window: int = 7  # px: side of the window that is searched around a target pixel
     max_cost: float = 0.5  # matching cost of an accepted displacement
@@ -354,7 +355,7 @@ class CheckSettings:
     # gives a second share of 0.17, real frames more than a half.
     max_stripe_exceptions: float = 0.01
     max_stripe_variation: float = 0.25
-    faint_share: float = 0.01  # share of the mean variation: windows with less of it are ignored
+    faint_share: float = 0.01  # share of the mean variation: a smaller variation is ignored
     # longer sides: longest vector of a flow, 0.12 on benchmarks, 0.7 and more if the flow diverges
     max_flow: float = 0.5
     # share of the pixels that leave the image: at most 0.08 on benchmarks

@@ -188,7 +188,7 @@ class Box:
         return self.texture._is_plain(s, t)
 
     def _faces(self, points: Floats) -> tuple[Floats, NDArray[np.intp]]:
-        """Return points, (3, n), divided by half edge lengths, and the normal axis of their faces."""
+        """Return points, (3, n), divided by half edge lengths, and the normal axes of the faces."""
         relative = points / (self.size / 2)[:, None]
         return relative, np.argmax(np.abs(relative), axis=0)
 

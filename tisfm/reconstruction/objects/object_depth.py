@@ -21,7 +21,7 @@ from tisfm.reconstruction.result.folder import depth_path, read_depth, write_dep
 from tisfm.reconstruction.result.moving_object import MovingObject, ScaleFrom, labelled_objects
 from tisfm.settings import Settings
 
-NO_PATH = "the camera has no pose in its frames, or only poses outside the largest piece"
+NO_PATH = "the camera has no pose in its frames, or none in the largest piece of the path"
 
 
 def find_object_scale(
