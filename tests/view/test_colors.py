@@ -97,7 +97,7 @@ def test_legends_state_the_meaning_of_colours(quantity):
 def test_pictures_have_the_requested_width(kind):
     assert picture_of(full(), kind, RANGES, width=4).shape == (3, 4, 3)
     plain = picture_of(full(), kind, RANGES, width=15)
-    marked = picture_of(full(), kind, RANGES, width=15, marked=(2, 3))
+    marked = picture_of(full(), kind, RANGES, width=15, marked_pixel=(2, 3))
     assert plain.shape == marked.shape == (6, 8, 3) and plain.dtype == np.uint8
     assert (plain != marked).any()
     large = picture_of(full(), kind, RANGES, width=20)
