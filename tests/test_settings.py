@@ -309,6 +309,12 @@ def test_derived_values(smoothness, beta, contrast, focal):
 # Camera
 
 
+def test_coarser_levels_have_twice_the_warps_up_to_a_bound():
+    settings = tisfm.Settings(warps=3, coarse_warps=20)
+    assert [settings.warps_on(level) for level in range(5)] == [3, 6, 12, 20, 20]
+    assert tisfm.Settings(warps=5, coarse_warps=2).warps_on(0) == 5
+
+
 def test_camera_defaults_to_the_papers_focal_length_and_the_images_centre():
     camera = tisfm.Camera()
     assert camera.focal == 600.0

@@ -36,6 +36,13 @@ def test_half_the_size_is_the_mean_of_four_pixels(kind):
         assert np.abs(found - mean).max() <= bound
 
 
+def test_half_the_size_ignores_four_pixels_if_any_is_ignored():
+    ignored = np.zeros((H, W), bool)
+    ignored[5, 7] = ignored[8:10, 2:4] = True
+    found = CropResize(size=W // 2).apply_to_mask(ignored, "frame")
+    np.testing.assert_array_equal(found, ignored.reshape(H // 2, 2, W // 2, 2).any((1, 3)))
+
+
 @pytest.mark.parametrize("size", [W, W + 1, 1000])
 def test_smaller_frames_are_unchanged(size):
     for found, frame in zip(images(FRAMES, size=size), FRAMES, strict=True):
