@@ -10,7 +10,7 @@ from tisfm.errors import InputError, InputTypeError
 STATUSES = (
     "converged", "iteration_limit", "no_motion", "no_texture", "diverged", "pure_rotation",
     "little_parallax", "unrelated", "pose_mismatch", "two_motions", "aperture", "behind_camera",
-    "unexplained", "uncertain",
+    "unexplained", "uncertain", "contradicted",
 )  # fmt: skip
 """Codes of `Status`."""
 UNKNOWN_STATUS_ADVICE = "This version of tisfm does not know this status: treat it as doubtful."
@@ -50,6 +50,11 @@ class Status(str):
     - ``"behind_camera"``: much of the scene would lie behind the camera.
     - ``"unexplained"``: motion and depth do not align much of the texture; depth is wrong there.
     - ``"pose_mismatch"``: the given pose contradicts the images; depth still follows from the pose.
+
+    Of a sequence:
+
+    - ``"contradicted"``: the frame has a pose, and the image motion contradicts the path: pose and
+      depth are probably wrong.
 
     A file of another version may hold a code that is not in this list. It is kept: treat it as
     doubtful.

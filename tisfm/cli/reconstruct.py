@@ -26,7 +26,7 @@ from tisfm.fusion.mesh import check_scikit_image
 from tisfm.machine.text import as_size
 from tisfm.reconstruction.chunks.chunk import DEFAULT_CHUNK
 from tisfm.reconstruction.chunks.runs import ChunksRun, ReconstructRun, WholeRun
-from tisfm.reconstruction.progress import DepthOf, Stage, StopReading
+from tisfm.reconstruction.progress import DepthOf, FixedPixels, Stage, StopReading
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.report import check_report
@@ -89,6 +89,9 @@ class Reconstruct:
     the longest side of the smallest box around the object. It sets the scale of the object."""
     depth_of: DepthOf = "all"
     """Frames that get depth: all, only keyframes, or none, for the path alone."""
+    fixed_pixels: FixedPixels = "mask"
+    """Pixels that show the same picture in all frames while the camera turns, such as a bonnet, a
+    logo or a caption: mask leaves them out; keep uses them."""
     scale: Annotated[tuple[int, int, float] | None, arg(metavar="FRAME FRAME DISTANCE")] = None
     """Two frame numbers, from 0, and the distance between the positions of the camera at these
     frames. It sets the unit of the result."""
@@ -262,6 +265,7 @@ def _prepare_run(
         "labels": options.labels,
         "object_sizes": object_sizes,
         "depth_of": options.depth_of,
+        "fixed_pixels": options.fixed_pixels,
     }
     shared: dict[str, Any] = {
         "frames": frames,

@@ -176,7 +176,7 @@ def refine_pose(
         if rays.trust @ np.sign(points.inverse_depth) < 0:
             translation = -translation
             points = nearest_points(rays, rotation, translation)
-        distance, jacobian = points.distance, _distance_jacobian(points, rays.focal)
+        distance, jacobian = points.distance, distance_jacobian(points, rays.focal)
         scale = max(robust_deviation(np.abs(distance), rays.trust), EGOMOTION.min_scale)
         weight = rays.trust / (1 + (distance / (2 * scale)) ** 2) ** 2
         # Points behind the camera are wrong.
@@ -231,7 +231,7 @@ def nearest_points(rays: Rays, rotation: np.ndarray, translation: np.ndarray) ->
     )
 
 
-def _distance_jacobian(points: EpipolarPoints, focal: float) -> np.ndarray:
+def distance_jacobian(points: EpipolarPoints, focal: float) -> np.ndarray:
     """Return the negative derivatives of distances by translation and rotation, (6, N), px."""
     x, y = points.x, points.y
     a, b = focal * points.normal_x, focal * points.normal_y

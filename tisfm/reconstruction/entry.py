@@ -16,7 +16,7 @@ from tisfm.camera_file import camera_file_path, read_camera
 from tisfm.checks import check_pose_count, refuse_masked
 from tisfm.errors import InputError, InputTypeError
 from tisfm.reconstruction.path.given_poses import poses_of_frames
-from tisfm.reconstruction.progress import DepthOf, Progress
+from tisfm.reconstruction.progress import DepthOf, FixedPixels, Progress
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.earlier_labels import find_result_labels
 from tisfm.reconstruction.result.folder import CACHE
@@ -42,6 +42,7 @@ def reconstruct(
     labels: LabelSource | None = None,
     object_sizes: Mapping[int, float] | None = None,
     depth_of: DepthOf = "all",
+    fixed_pixels: FixedPixels = "mask",
     step: int = 1,
     start: int = 0,
     stop: int | None = None,
@@ -111,6 +112,10 @@ def reconstruct(
         The frames whose depth is found: every frame; only keyframes, which takes less time and disk
         space; or none. With none, only the path is found, and its unit is the median depth of
         tracks in the first frame of a piece.
+    fixed_pixels : {"mask", "keep"}
+        Pixels that show the same picture in all frames while the camera turns: a bonnet, a logo, a
+        caption, a border. They are found and masked (`Reconstruction.mask`), or kept. With given
+        poses, and with ``motion="objects"``, they are kept.
     step, start, stop, size, crop
         The selected frames and the used part of each, as for `tisfm.interpret_sequence`.
     bad_frames : {"raise", "skip"}
@@ -170,6 +175,8 @@ def reconstruct(
     calibrate = resolve_calibrate(calibrate, is_known=camera is not None or poses is not None)
     if depth_of not in get_args(DepthOf):
         raise InputError(f'depth_of is {depth_of!r}: expected "all", "keyframes" or "none"')
+    if fixed_pixels not in get_args(FixedPixels):
+        raise InputError(f'fixed_pixels is {fixed_pixels!r}: expected "mask" or "keep"')
     if depth_of == "none" and poses is not None:
         raise InputError(
             'poses are given and depth_of="none": nothing is left to compute; leave one of them out'
@@ -237,6 +244,7 @@ def reconstruct(
                     poses=trajectory,
                     folder=path,
                     depth_of=depth_of,
+                    fixed_pixels=fixed_pixels,
                     object_sizes=lengths,
                     are_labels_prepared=result_labels is not None
                     and result_labels.camera is not None,

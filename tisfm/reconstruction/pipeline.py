@@ -20,6 +20,8 @@ from tisfm.camera_file import write_camera
 from tisfm.errors import InputError
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.reconstruction.calibration.source_camera import SourceCamera
+from tisfm.reconstruction.checks.evidence import PathCheck
+from tisfm.reconstruction.checks.fixed_pixels import camera_turns, find_fixed_pixels
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.objects.sequence_labels import (
@@ -29,9 +31,17 @@ from tisfm.reconstruction.objects.sequence_labels import (
 )
 from tisfm.reconstruction.path.given_path import given_path
 from tisfm.reconstruction.path.path_solver import CameraPath, PathSolver
-from tisfm.reconstruction.progress import DepthOf, Progress, StopReading
+from tisfm.reconstruction.progress import DepthOf, FixedPixels, Progress, StopReading
 from tisfm.reconstruction.result.calibration import Calibrate, Calibration, as_json
-from tisfm.reconstruction.result.folder import CACHE, PICTURES, write_depth, write_record
+from tisfm.reconstruction.result.folder import (
+    CACHE,
+    PICTURES,
+    depth_path,
+    read_depth,
+    write_depth,
+    write_mask,
+    write_record,
+)
 from tisfm.reconstruction.result.moving_object import MovingObject, refuse_unknown_ids
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracker, SequenceTracks
@@ -70,11 +80,17 @@ class Job:
     poses: Trajectory | None  # given poses
     folder: Path  # folder of the result, ready to be written to
     progress: Progress = _no_progress  # as for `tisfm.reconstruct`
+    fixed_pixels: FixedPixels = "mask"  # whether pixels that are fixed on the sensor are masked
     depth_of: DepthOf = "all"  # the frames whose depth is estimated
     # known lengths of moving objects, by their ids
     object_sizes: Mapping[int, float] = field(default_factory=dict)
     # whether given labels already belong to frames without distortion and readout effect
     are_labels_prepared: bool = False
+
+    @property
+    def masks_fixed_pixels(self) -> bool:
+        """Whether pixels that are fixed on the sensor are searched and masked."""
+        return self.fixed_pixels == "mask" and self.poses is None
 
     @property
     def has_objects(self) -> bool:
@@ -107,6 +123,8 @@ class PathResult:
 
     path: CameraPath
     camera: Camera  # camera of the frames of the source, before crop and reduction
+    # (H, W) bool, or None: pixels that are fixed on the sensor, and masked
+    fixed_pixels: np.ndarray | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,7 +143,8 @@ def reconstruct_sequence(job: Job) -> Reconstruction:
     path_result = solve_path(job, reading)
     calibration = _calibration(job, reading, path_result)
     depth = find_depth(job, reading, path_result.path)
-    return write_result(job, reading, path_result, calibration, depth)
+    checks = check_pieces(job, reading.frames, path_result.path, depth)
+    return write_result(job, reading, path_result, calibration, depth, checks)
 
 
 def read_frames(job: Job) -> ReadingResult:
@@ -194,6 +213,7 @@ def solve_path(job: Job, reading: ReadingResult) -> PathResult:
     With moving objects, every frame is labelled as well.
     """
     frames, full_camera = reading.frames, reading.camera.full_camera
+    fixed: np.ndarray | None = None
 
     def correct(path: CameraPath) -> None:
         nonlocal full_camera
@@ -210,14 +230,25 @@ def solve_path(job: Job, reading: ReadingResult) -> PathResult:
             )
         frames.correct(path.camera, path.rolling)
 
-    def solve_static_path(calibrate: Calibrate | None) -> CameraPath:
+    def solve_static_path(
+        calibrate: Calibrate | None, mask: np.ndarray | None = None
+    ) -> CameraPath:
         tracker = _make_tracker(job, frames.camera, calibrate or job.calibrate)
         for number in range(frames.count):
-            tracker.add(*frames.tracker_input(number), frames.flow(number))
+            grey, ignored = frames.tracker_input(number)
+            if mask is not None:
+                ignored = mask if ignored is None else ignored | mask
+            tracker.add(grey, ignored, frames.flow(number))
         return _solve_or_take_path(job, reading, tracker.finish(), calibrate or job.calibrate)
 
     if reading.tracks is not None:
         path = _solve_or_take_path(job, reading, reading.tracks, job.calibrate)
+        mask = find_fixed_pixels(frames) if job.masks_fixed_pixels else None
+        if mask is not None:
+            masked_path = solve_static_path(None, mask)
+            if camera_turns(masked_path.pieces, frames.camera):
+                frames.ignore(mask)
+                path, fixed = masked_path, mask
         correct(path)
     else:
         if reading.labels is None:
@@ -225,7 +256,7 @@ def solve_path(job: Job, reading: ReadingResult) -> PathResult:
         path = find_static_path(frames, reading.labels, solve_static_path, correct)
         refuse_unknown_ids(job.object_sizes, frames.object_ids())
     job.progress("path", len(reading.names), len(reading.names))
-    return PathResult(path=path, camera=full_camera)
+    return PathResult(path=path, camera=full_camera, fixed_pixels=fixed)
 
 
 def find_depth(job: Job, reading: ReadingResult, path: CameraPath) -> DepthResult:
@@ -258,12 +289,51 @@ def find_depth(job: Job, reading: ReadingResult, path: CameraPath) -> DepthResul
     )
 
 
+def check_pieces(
+    job: Job, frames: PreparedFrames, path: CameraPath, depth: DepthResult
+) -> tuple[PathCheck, ...]:
+    """Check every piece of the path, and its depth, against the image motion."""
+    from tisfm.reconstruction.checks.path_check import check_piece
+
+    def static_pixels(frame: int) -> np.ndarray:
+        used_pixels = frames.used_pixels(frame)
+        return np.ones(frames.shape, bool) if used_pixels is None else used_pixels
+
+    def inverse_depth(frame: int) -> np.ndarray | None:
+        is_written = job.depth_of != "none" and depth_path(job.folder, frame).exists()
+        return read_depth(job.folder, frame, frames.shape)[0] if is_written else None
+
+    return tuple(
+        check_piece(
+            {frame: depth.poses[frame] for frame in piece.poses},
+            [frame for frame in depth.keyframes if frame in piece.poses],
+            path.observations,
+            frames.grey,
+            static_pixels,
+            inverse_depth,
+            frames.camera,
+        )
+        for piece in path.pieces
+    )
+
+
+def contradict(depth: DepthResult, checks: Sequence[PathCheck]) -> tuple[Status, ...]:
+    """Return the statuses of frames: all frames of a contradicted piece are contradicted."""
+    return tuple(
+        Status("contradicted", checks[piece].message)
+        if piece >= 0 and checks[piece].contradicts
+        else status
+        for status, piece in zip(depth.status, depth.piece.tolist(), strict=True)
+    )
+
+
 def write_result(
     job: Job,
     reading: ReadingResult,
     path_result: PathResult,
     calibration: Calibration,
     depth: DepthResult,
+    checks: tuple[PathCheck, ...],
 ) -> Reconstruction:
     """Write the camera, the moving objects with their depth, and then the record."""
     about = as_json(calibration)
@@ -286,7 +356,8 @@ def write_result(
         poses=depth.poses,
         piece=depth.piece,
         unit=(1.0,) * len(path_result.path.pieces),
-        status=depth.status,
+        status=contradict(depth, checks),
+        checks=checks,
         keyframes=depth.keyframes,
         camera=reading.frames.camera,
         calibration=calibration,
@@ -300,6 +371,8 @@ def write_result(
         version=__version__,
         objects=objects,
     )
+    if path_result.fixed_pixels is not None:
+        write_mask(job.folder, path_result.fixed_pixels)
     write_record(job.folder, result)
     return result
 

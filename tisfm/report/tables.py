@@ -23,6 +23,7 @@ MEANINGS = {
     "unexplained": "Motion and depth do not explain the frames: depth is wrong in part.",
     "uncertain": "There is little parallax, or depth has a large deviation: depth is rough.",
     "pose_mismatch": "The given pose contradicts the images.",
+    "contradicted": "The image motion contradicts the path: pose and depth are probably wrong.",
     "diverged": "The iterations diverged: the result is useless.",
 }
 # Colours of Okabe and Ito: people with a colour vision deficiency can distinguish them.

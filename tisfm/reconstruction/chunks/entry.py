@@ -39,7 +39,7 @@ from tisfm.reconstruction.entry import (
     resolve_settings,
 )
 from tisfm.reconstruction.path.given_poses import poses_of_frames
-from tisfm.reconstruction.progress import DepthOf, Progress
+from tisfm.reconstruction.progress import DepthOf, FixedPixels, Progress
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.reconstruction.result.renewal import CHUNKS, refuse_other_files, renewed_locked_folder
@@ -72,8 +72,10 @@ class ChunkedRun:
     folder : path
         The folder of the result. Until the result is complete, its subfolder ``.tisfm-chunks`` has
         the chunks.
-    camera, calibrate, settings, poses, depth_of, step, start, stop, size, crop, bad_frames
+    camera, calibrate, settings, poses, depth_of, fixed_pixels
         As for `tisfm.reconstruct`. The settings need ``motion="camera"``.
+    step, start, stop, size, crop, bad_frames
+        As for `tisfm.reconstruct`.
     mask : path, optional
         As for `tisfm.reconstruct`.
     chunk : int
@@ -106,6 +108,7 @@ class ChunkedRun:
         poses: npt.ArrayLike | Trajectory | None = None,
         mask: str | os.PathLike[str] | None = None,
         depth_of: DepthOf = "all",
+        fixed_pixels: FixedPixels = "mask",
         step: int = 1,
         start: int = 0,
         stop: int | None = None,
@@ -160,8 +163,9 @@ class ChunkedRun:
             arch=arch,
             files={"mask": None if mask is None else os.fspath(mask)},
             others={
-                "calibrate": calibrate, "depth_of": depth_of, "size": size, "crop": crop,
-                "bad_frames": bad_frames, "chunk": chunk, **(others or {}),
+                "calibrate": calibrate, "depth_of": depth_of, "fixed_pixels": fixed_pixels,
+                "size": size, "crop": crop, "bad_frames": bad_frames, "chunk": chunk,
+                **(others or {}),
             },
         )  # fmt: skip
         self._chunks = [
@@ -171,6 +175,7 @@ class ChunkedRun:
                 span=span,
                 frame_arguments={
                     "step": step, "size": size, "crop": crop, "bad_frames": bad_frames,
+                    "fixed_pixels": fixed_pixels,
                     "mask": None if mask is None else os.path.abspath(mask),
                 },
                 camera=camera.absolute() if isinstance(camera, Path) else camera,

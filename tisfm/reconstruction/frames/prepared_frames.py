@@ -148,6 +148,17 @@ class PreparedFrames:
         """Return the frames whose correction may be replaced, in order."""
         return sorted(number for number, state in self._states.items() if state.is_provisional)
 
+    def ignore(self, mask: np.ndarray) -> None:
+        """Ignore more pixels, (H, W) bool, in all frames."""
+        self._flow = None
+        for number in range(self.count):
+            ignored = self.ignored(number)
+            ignored = mask if ignored is None else ignored | mask
+            grey = fill_ignored(self.grey(number), ignored)
+            self._cached_frames.pop(number)
+            write_npy(self._grey_path(number), grey)
+            self._write_mask(number, ignored)
+
     def finalise_corrections(self, last: int) -> None:
         """Make the correction of the frames up to `last` final."""
         for number in self.provisional_frames():

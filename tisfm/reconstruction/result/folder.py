@@ -27,13 +27,14 @@ from tisfm.formats.images import decode_with_opencv
 from tisfm.formats.label_picture import read_label_picture, write_label_png
 from tisfm.formats.npz import NpzFile, write_npz
 from tisfm.formats.reading import read_bytes, read_json
+from tisfm.reconstruction.checks.evidence import PathCheck
 from tisfm.reconstruction.result.calibration import as_json, from_json
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.settings import Settings
 from tisfm.status import Status
 from tisfm.trajectory.poses import check_poses
 
-FORMAT = 2  # version of the format of the record
+FORMAT = 3  # version of the format of the record
 OBJECTS_FORMAT = 1  # version of the format of the file of moving objects
 RECORD = "reconstruction.json"
 MARKER = "reconstruction.begun"
@@ -43,10 +44,11 @@ PICTURES = "frames"
 CACHE = "cache"
 MASKS = "masks"
 OBJECTS = "objects.json"
+FIXED = "mask.png"
 MAX_HALF = 60000.0  # largest stored float16 value; the largest possible value is 65504
 # Errors from reading damaged JSON, or numbers outside NumPy's range.
 _READ_ERRORS = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
-PARTS = (RECORD, PATH, DEPTH, PICTURES, CAMERA, MASKS, OBJECTS)
+PARTS = (RECORD, PATH, DEPTH, PICTURES, CAMERA, MASKS, OBJECTS, FIXED)
 _HALF_ARRAYS = ("inverse_depth", "inverse_depth_std")
 REQUEST = "asked.json"  # the request of `tisfm reconstruct`
 OPTIONAL_FILES = (
@@ -117,6 +119,27 @@ def read_labels(folder: Path, number: int, shape: tuple[int, int]) -> np.ndarray
     if labels.shape != shape:
         raise FormatError(f"{path} is {labels.shape}: expected {shape}")
     return labels
+
+
+def write_mask(folder: Path, mask: np.ndarray) -> None:
+    """Write the pixels that are masked in all frames, (H, W) bool: black in a PNG."""
+    is_encoded, data = cv2.imencode(".png", np.where(mask, 0, 255).astype(np.uint8))
+    assert is_encoded
+    with atomic_write(folder / FIXED) as file:
+        file.write(data.tobytes())
+
+
+def read_mask(folder: Path, shape: tuple[int, int]) -> np.ndarray | None:
+    """Return the pixels that are masked in all frames, (H, W) bool; None if there are none."""
+    path = folder / FIXED
+    if not path.exists():
+        return None
+    data = read_bytes(path)
+    refuse_large_image(str(path), data)
+    picture = decode_with_opencv(str(path), data, cv2.IMREAD_GRAYSCALE)
+    if picture is None or picture.shape != shape:
+        raise FormatError(f"{path} is damaged: it is not a mask of {shape[1]}×{shape[0]} px")
+    return np.asarray(picture == 0)
 
 
 def mask_path(folder: Path, number: int) -> Path:
@@ -193,6 +216,7 @@ def write_record(folder: Path, result: Any) -> None:
         "keyframes": list(result.keyframes),
         "skipped": [list(item) for item in result.skipped],
         "notes": list(result.notes),
+        "checks": [check.as_json() for check in result.checks],
     }
     if result.settings.motion == "objects":
         write_objects(folder, result.objects)
@@ -260,6 +284,7 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
             settings=settings,
             version=str(record["version"]),
             objects=_read_objects(path, settings, count),
+            checks=tuple(PathCheck.from_json(check) for check in record["checks"]),
         )
 
 

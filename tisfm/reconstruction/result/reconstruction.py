@@ -12,8 +12,15 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.errors import InputError, OutOfRangeError
 from tisfm.point_cloud import PointCloud
+from tisfm.reconstruction.checks.evidence import PathCheck
 from tisfm.reconstruction.result.calibration import GIVEN, Calibration
-from tisfm.reconstruction.result.folder import read_depth, read_labels, read_picture, read_record
+from tisfm.reconstruction.result.folder import (
+    read_depth,
+    read_labels,
+    read_mask,
+    read_picture,
+    read_record,
+)
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.reconstruction.result.renewal import TemporaryFolder, copy_folder
 from tisfm.settings import Settings
@@ -40,7 +47,7 @@ class Reconstruction:
         For every piece, the factor from depth on disk to depth; 1 unless the piece was rescaled.
     status : tuple of Status
         For every frame, with a message: ``"converged"`` if it has a pose, and depth if depth was
-        requested.
+        requested; ``"contradicted"`` if it has both, and the image motion contradicts them.
     keyframes : tuple of int
         Frames whose depth was estimated from neighbour frames. The depth of all other frames is
         rendered from the keyframes; holes are filled up to image edges.
@@ -70,6 +77,8 @@ class Reconstruction:
         Version of tisfm that made the result.
     objects : tuple of MovingObject
         Moving objects, with ``motion="objects"``, in the order of their labels.
+    checks : tuple of PathCheck
+        For every piece, the checks of its path against the image motion; empty for chunks.
 
     Examples
     --------
@@ -101,6 +110,7 @@ class Reconstruction:
     folder: Path
     version: str
     objects: tuple[MovingObject, ...] = ()
+    checks: tuple[PathCheck, ...] = field(repr=False, default=())
     _temporary: TemporaryFolder | None = field(repr=False, default=None)
 
     def __len__(self) -> int:
@@ -154,6 +164,15 @@ class Reconstruction:
         ((180, 240), dtype('uint8'))
         """
         return read_labels(self.folder, self._number(frame), self.shape)
+
+    @property
+    def mask(self) -> np.ndarray | None:
+        """Pixels that are fixed on the sensor and were masked, (H, W) bool; None if there are none.
+
+        A bonnet, a logo, a caption or a border, found by ``fixed_pixels="mask"`` of
+        `tisfm.reconstruct`. Their depth is filled from the surroundings.
+        """
+        return read_mask(self.folder, self.shape)
 
     def picture(self, frame: int) -> np.ndarray:
         """Return the frame without distortion, (H, W) or (H, W, 3) RGB uint8."""

@@ -1,0 +1,106 @@
+"""Fixed pixels are masked, and image motion contradicts a path with a wrong camera."""
+
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+
+import tisfm
+from tests.reconstruction.films import along, path_error
+from tests.rendered import room_film
+from tisfm.errors import InputError
+from tisfm.reconstruction.result.folder import FIXED
+
+FAST = tisfm.Settings.preset("fast", motion="camera")
+COUNT, HEIGHT, WIDTH = 10, 120, 160
+BAND = 18  # px: height of the overlay at the lower border
+
+
+@cache
+def film():
+    """Return a film of a camera that turns and moves."""
+    return room_film(along(COUNT, np.array((0.06, 0.01, 0.02, 0, 0.012, 0))), HEIGHT, WIDTH)
+
+
+@cache
+def with_overlay():
+    """Return the frames of the film with a textured band that is fixed on the sensor."""
+    noise = cv2.GaussianBlur(np.random.default_rng(0).normal(0, 1, (BAND, WIDTH)), (0, 0), 2)
+    frames = film().frames.copy()
+    frames[:, -BAND:] = np.clip(120 + 50 * noise / noise.std(), 0, 255)
+    return frames
+
+
+def zoomed(rate):
+    """Return the frames of the film with a zoom, a growing factor from frame to frame."""
+    frames = []
+    for number, frame in enumerate(film().frames):
+        factor = 1 + rate * number
+        shift = [(1 - factor) * (side - 1) / 2 for side in (WIDTH, HEIGHT)]
+        matrix = np.float32([[factor, 0, shift[0]], [0, factor, shift[1]]])
+        size = WIDTH, HEIGHT
+        frames.append(cv2.warpAffine(frame, matrix, size, borderMode=cv2.BORDER_REFLECT))
+    return np.stack(frames)
+
+
+def reconstructed(frames, **options):
+    options = {"camera": film().camera, "settings": FAST, "depth_of": "keyframes"} | options
+    return tisfm.reconstruct(frames, **options)
+
+
+def test_right_path_is_not_contradicted(tmp_path):
+    result = reconstructed(film().frames, folder=tmp_path)
+    (check,) = result.checks
+    assert not check.contradicts and check.message == "" and result.mask is None
+    assert set(result.status) == {"converged"}
+    assert len(check.pairs) >= 2 and check.infinity_motion > 5
+    assert tisfm.Reconstruction.load(tmp_path).checks == result.checks
+    assert not (tmp_path / FIXED).exists()
+
+
+def test_overlay_is_masked(tmp_path):
+    result = reconstructed(with_overlay(), folder=tmp_path)
+    assert set(result.status) == {"converged"}
+    assert path_error(result.poses, film().poses) < 0.01
+    mask = tisfm.Reconstruction.load(tmp_path).mask
+    np.testing.assert_array_equal(mask, result.mask)
+    assert mask[-BAND:].mean() > 0.95 and mask[: -BAND - 4].mean() < 0.01
+    assert np.isinf(result.inverse_depth_std(result.keyframes[0])[mask]).all()
+
+
+def test_overlay_that_is_kept_contradicts_the_path():
+    result = reconstructed(with_overlay(), fixed_pixels="keep")
+    assert result.mask is None
+    assert "contradicted" in result.status
+    status = next(status for status in result.status if status == "contradicted")
+    assert "fixed on the sensor" in status.message
+
+
+@pytest.mark.parametrize("rate", [0.01])
+def test_zoom_contradicts_the_path(rate):
+    result = reconstructed(zoomed(rate))
+    assert set(result.status) == {"contradicted"}
+    assert "focal length changes" in result.status[0].message
+    assert result.checks[0].zoom[0] == pytest.approx(np.log1p(rate), abs=0.5 * rate)
+
+
+def test_far_texture_is_not_fixed_on_the_sensor():
+    # The upper half is far away: it stays at rest, because the camera only translates.
+    camera = along(COUNT, np.array((0.06, 0.0, 0.0, 0, 0, 0)))
+    frames = room_film(camera, HEIGHT, WIDTH).frames.copy()
+    frames[:, : HEIGHT // 2] = frames[0, : HEIGHT // 2]
+    assert reconstructed(frames).mask is None
+
+
+def test_camera_at_rest_has_no_mask():
+    noise = np.random.default_rng(0).normal(0, 2, (COUNT, HEIGHT, WIDTH))
+    frames = np.clip(film().frames[:1] + noise, 0, 255).astype(np.uint8)
+    result = reconstructed(frames)
+    assert result.mask is None
+    assert "converged" not in result.status
+
+
+def test_an_unknown_value_is_refused():
+    with pytest.raises(InputError, match="fixed_pixels"):
+        reconstructed(film().frames, fixed_pixels="no")

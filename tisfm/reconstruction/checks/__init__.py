@@ -1,0 +1,1 @@
+"""Checks of a result by evidence that the result was not made from."""

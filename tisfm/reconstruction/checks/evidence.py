@@ -1,0 +1,152 @@
+"""Evidence for and against a camera path, and what it contradicts."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from tisfm.reconstruction.checks.settings import CHECKS
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairEvidence:
+    """Evidence of one pair; each number is small if the path is right, `rank` is near 1."""
+
+    first: int
+    second: int
+    # share of the rays that lie off the path's epipolar lines, less that off the free motion's
+    excess: float
+    residual_ratio: float  # residual of the path over that of the free motion
+    direction: float  # degrees between the translations of the path and of the free motion
+    direction_deviation: float  # degrees: standard deviation of the free direction
+    rotation: float  # degrees between the two rotations
+    behind: float  # share of the rays that meet behind the camera with the path's motion
+    # rank correlation of the first frame's depth with that of the free motion; None without depth
+    rank: float | None
+    zoom: float  # logarithm of the zoom between the frames
+    zoom_deviation: float
+    zoom_gain: float  # residual of the free motion over that with a zoom
+    parallax: float  # median motion beyond the free rotation, longer sides
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathCheck:
+    """The checks of a piece of the camera path against the image motion between its frames.
+
+    Attributes
+    ----------
+    pairs : tuple of PairEvidence
+        Evidence of pairs of frames.
+    fixed_share : float
+        Share of the texture that is fixed on the sensor.
+    infinity_motion : float
+        Motion of points at infinity, px of the frames: fixed texture is seen only if it is large.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> result = tisfm.Reconstruction.load("walk")
+    >>> [check.objections for check in result.checks]  # no check contradicts the path
+    [()]
+    """
+
+    pairs: tuple[PairEvidence, ...]
+    fixed_share: float
+    infinity_motion: float
+
+    def median(self, name: str) -> float:
+        """Return the median of a number over pairs; NaN without pairs."""
+        values = [getattr(pair, name) for pair in self.pairs]
+        known_values = [value for value in values if value is not None]
+        return float(np.median(known_values)) if known_values else float("nan")
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the numbers for JSON."""
+        return {
+            "pairs": [asdict(pair) for pair in self.pairs],
+            "fixed_share": self.fixed_share,
+            "infinity_motion": self.infinity_motion,
+        }
+
+    @classmethod
+    def from_json(cls, record: dict[str, Any]) -> "PathCheck":
+        """Return the check of a record of `as_json`."""
+        return cls(
+            pairs=tuple(PairEvidence(**pair) for pair in record["pairs"]),
+            fixed_share=float(record["fixed_share"]),
+            infinity_motion=float(record["infinity_motion"]),
+        )
+
+    @property
+    def zoom(self) -> tuple[float, float]:
+        """Logarithm of the zoom from frame to frame, and the number of its deviations from 0."""
+        if not self.pairs:
+            return 0.0, 0.0
+        steps = np.array([pair.second - pair.first for pair in self.pairs])
+        zooms = np.array([pair.zoom for pair in self.pairs]) / steps
+        deviations = np.array([pair.zoom_deviation for pair in self.pairs]) / np.abs(steps)
+        weights = 1 / deviations**2
+        return float(np.median(zooms)), float((zooms * weights).sum() / np.sqrt(weights.sum()))
+
+    @property
+    def objections(self) -> tuple[str, ...]:
+        """Names of the checks whose evidence is beyond its limit."""
+        found = []
+        if self.pairs:
+            direction, deviation = self.median("direction"), self.median("direction_deviation")
+            zoom, significance = self.zoom
+            tests = {
+                "excess": self.median("excess") > CHECKS.max_excess,
+                "residual": self.median("residual_ratio") > CHECKS.max_residual_ratio,
+                "direction": direction
+                > max(CHECKS.max_direction, CHECKS.max_direction_deviations * deviation),
+                "rank": self.median("rank") < CHECKS.min_rank,
+                "behind": self.median("behind") > CHECKS.max_behind,
+                "zoom": abs(zoom) > CHECKS.max_zoom_per_frame
+                and abs(significance) > CHECKS.min_zoom_significance,
+            }
+            found = [name for name, objects in tests.items() if objects]
+        if (
+            self.fixed_share > CHECKS.max_fixed_share
+            and self.infinity_motion > CHECKS.min_infinity_motion
+        ):
+            found.append("fixed")
+        return tuple(found)
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether the checks contradict the path: zoom or fixed alone, or two of the others."""
+        return bool({"zoom", "fixed"} & set(self.objections)) or len(self.objections) > 1
+
+    @property
+    def message(self) -> str:
+        """The evidence that contradicts the path, and advice; "" if nothing does."""
+        if not self.contradicts:
+            return ""
+        objections = self.objections
+        if "fixed" in objections:
+            return (
+                f"{self.fixed_share:.0%} of the texture is fixed on the sensor while the camera "
+                "turns; mask it"
+            )
+        if "zoom" in objections:
+            return (
+                f"the frames grow by {100 * self.zoom[0]:.1f} % per frame beyond the motion: the "
+                "focal length changes or is wrong, or the lens distorts; give the true camera, or "
+                'calibrate="radial"'
+            )
+        texts = {
+            "excess": f"{self.median('excess'):.0%} of the texture moves off its epipolar lines",
+            "residual": f"its residual is {self.median('residual_ratio'):.1f} times that of the "
+            "best motion",
+            "direction": "the camera moves in another direction, "
+            f"{self.median('direction'):.0f}° off",
+            "rank": "the depth of the frames has another order "
+            f"(rank correlation {self.median('rank'):.2f})",
+            "behind": f"{self.median('behind'):.0%} of the texture would lie behind the camera",
+        }
+        evidence = "; ".join(texts[name] for name in objections)
+        return (
+            f"the image motion contradicts the path: {evidence}. Give the focal length, a mask of "
+            "moving objects, or other frames"
+        )

@@ -1,0 +1,140 @@
+"""Evidence of a pair of frames against the motion that a path states for it."""
+
+import cv2
+import numpy as np
+from scipy.stats import spearmanr
+
+from tisfm.motion.epipolar_fit import (
+    EpipolarPoints,
+    Pose,
+    Rays,
+    distance_jacobian,
+    fix_scale,
+    length,
+    nearest_points,
+    robust_deviation,
+    rotation_residual,
+)
+from tisfm.reconstruction.checks.dense_pair import DensePair
+from tisfm.reconstruction.checks.evidence import PairEvidence
+from tisfm.reconstruction.checks.settings import CHECKS
+
+
+def pair_evidence(
+    pair: DensePair,
+    inverse_depth: np.ndarray | None,  # (h, w): of the shrunk first frame
+) -> PairEvidence:
+    """Return the evidence of a pair."""
+    sample = pair.rays.subsample(max(1, len(pair.rows) // CHECKS.max_rays))
+    path_points, free_points = (nearest_points(pair.rays, *pose) for pose in (pair.path, pair.free))
+    path_residual, free_residual = (
+        robust_deviation(np.abs(nearest_points(sample, *pose).distance), sample.trust)
+        for pose in (pair.path, pair.free)
+    )
+    limit = max(CHECKS.off_line_distance, CHECKS.off_line_deviations * free_residual)
+    off_path, off_free = (
+        float((np.abs(points.distance) > limit).mean()) for points in (path_points, free_points)
+    )
+    path_parallax, free_parallax = (
+        pair.rays.focal * length(rotation_residual(pair.rays, pose[0]))
+        for pose in (pair.path, pair.free)
+    )
+    behind = (path_points.inverse_depth < 0) & (path_parallax > limit)
+    zoom, zoom_deviation, zoom_residual = fit_zoom(sample, pair.free)
+    return PairEvidence(
+        first=pair.first,
+        second=pair.second,
+        excess=off_path - off_free,
+        residual_ratio=max(path_residual, CHECKS.min_residual)
+        / max(free_residual, CHECKS.min_residual),
+        direction=angle_between(pair.path[1], pair.free[1]),
+        direction_deviation=direction_deviation(sample, pair.free),
+        rotation=rotation_angle(pair.path[0] @ pair.free[0].T),
+        behind=float(behind.mean()),
+        rank=depth_rank(pair, free_points, inverse_depth),
+        zoom=zoom,
+        zoom_deviation=zoom_deviation,
+        zoom_gain=max(free_residual, CHECKS.min_zoom_residual)
+        / max(zoom_residual, CHECKS.min_zoom_residual),
+        parallax=float(np.median(free_parallax)) / max(pair.shape),
+    )
+
+
+def angle_between(first: np.ndarray, second: np.ndarray) -> float:
+    """Return the angle between two vectors, degrees."""
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(first, second)), first @ second)))
+
+
+def rotation_angle(rotation: np.ndarray) -> float:
+    """Return the angle of a rotation, (3, 3), degrees."""
+    return float(np.degrees(np.linalg.norm(cv2.Rodrigues(rotation)[0])))
+
+
+def direction_deviation(rays: Rays, pose: Pose) -> float:
+    """Return the standard deviation of the direction of translation of a fitted motion, degrees."""
+    points = nearest_points(rays, *pose)
+    matrix, _ = _normal_equations(points, rays, distance_jacobian(points, rays.focal))
+    covariance = np.linalg.inv(fix_scale(matrix, pose[1]))
+    return float(np.degrees(np.sqrt(max(float(np.trace(covariance[:3, :3])), 0.0))))
+
+
+def depth_rank(
+    pair: DensePair, points: EpipolarPoints, inverse_depth: np.ndarray | None
+) -> float | None:
+    """Return the rank correlation of depth with that of a motion; None for too few pixels."""
+    if inverse_depth is None:
+        return None
+    depth = inverse_depth[pair.rows, pair.columns]
+    valid = np.isfinite(depth) & (depth > 0)
+    if valid.sum() < CHECKS.min_pixels:
+        return None
+    return float(spearmanr(depth[valid], points.inverse_depth[valid]).statistic)
+
+
+def fit_zoom(rays: Rays, pose: Pose) -> tuple[float, float, float]:
+    """Fit a motion with a zoom about the centre of the frame.
+
+    Returns the logarithm of the zoom, its standard deviation, and the residual, px.
+    """
+    rotation, translation = pose
+    zoom, scale, matrix = 0.0, 0.0, np.eye(7)
+    for _ in range(CHECKS.zoom_iterations):
+        unzoomed = Rays(
+            rays0=rays.rays0,
+            rays1=rays.rays1 * np.exp(-zoom),
+            trust=rays.trust,
+            focal=rays.focal,
+        )
+        points = nearest_points(unzoomed, rotation, translation)
+        by_zoom = rays.focal * (
+            points.normal_x * unzoomed.rays1[0] + points.normal_y * unzoomed.rays1[1]
+        )
+        jacobian = np.vstack([distance_jacobian(points, rays.focal), by_zoom])
+        matrix, scale = _normal_equations(points, unzoomed, jacobian)
+        weight = _robust_weights(points.distance, scale, rays.trust)
+        gradient = jacobian @ (weight * points.distance) / scale**2 / CHECKS.correlated_pixels
+        along = np.concatenate([translation, np.zeros(4)])
+        matrix += (np.trace(matrix) + 1e-30) * (np.outer(along, along) + 1e-9 * np.eye(7))
+        matrix[6, 6] += 1 / CHECKS.zoom_deviation**2
+        gradient[6] -= zoom / CHECKS.zoom_deviation**2
+        step = np.linalg.solve(matrix, gradient)
+        turn = cv2.Rodrigues(step[3:6])[0]
+        rotation, translation = turn @ rotation, turn @ translation + step[:3]
+        translation = translation / np.linalg.norm(translation)
+        zoom = float(np.clip(zoom + step[6], -CHECKS.max_zoom, CHECKS.max_zoom))
+        if np.linalg.norm(step) < 1e-7:
+            break
+    return zoom, float(np.sqrt(np.linalg.inv(matrix)[6, 6])), scale
+
+
+def _normal_equations(
+    points: EpipolarPoints, rays: Rays, jacobian: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Return the information matrix of a robust fit, and the deviation of distances, px."""
+    scale = max(robust_deviation(np.abs(points.distance), rays.trust), 0.02)
+    weight = _robust_weights(points.distance, scale, rays.trust)
+    return (jacobian * weight) @ jacobian.T / scale**2 / CHECKS.correlated_pixels, scale
+
+
+def _robust_weights(distance: np.ndarray, scale: float, trust: np.ndarray) -> np.ndarray:
+    return np.asarray(trust / (1 + (distance / (2 * scale)) ** 2) ** 2)
