@@ -79,6 +79,7 @@ def test_help_shows_the_values_of_the_preset(tisfm_run, spelling):
                 "--object-sizes",
                 "--calibrate",
                 "--depth-of",
+                "--fixed-pixels",
                 "--scale",
                 "--workers",
                 "--cluster",
