@@ -106,7 +106,7 @@ def test_damaged_streams_are_refused(data):
     ids=str,
 )
 def test_other_packings_are_refused(about):
-    with pytest.raises(ValueError, match="packed"):
+    with pytest.raises(ValueError, match="pack"):
         Packing.from_json(about, FIXED)
 
 

@@ -4,7 +4,7 @@ import functools
 import io
 import json
 import struct
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -18,6 +18,7 @@ from tisfm.formats import write_depth_png, write_dpt, write_flo, write_kitti_flo
 from tisfm.formats.label_picture import write_label_png
 from tisfm.formats.npz import write_npz
 from tisfm.interpretation import Interpretation
+from tisfm.reconstruction.checks.evidence import PairEvidence, PathCheck
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.status import History, Status
 from tisfm.trajectory import write_kitti, write_tum
@@ -193,8 +194,10 @@ def objects():
 
 
 def reconstructions(motion="objects"):
+    numbers = [field.name for field in fields(PairEvidence)]
+    pair = PairEvidence(**dict.fromkeys(numbers, 1))
     about = {
-        "format": 2,
+        "format": 3,
         "version": "0",
         "camera": asdict(Camera(500.0)),
         "calibration": {"origin": "guessed", "focal_std": None},
@@ -205,6 +208,7 @@ def reconstructions(motion="objects"):
         "notes": [],
         "keyframes": [0, 2],
         "skipped": [[7, "damaged"]],
+        "checks": [PathCheck(pairs=(pair,), fixed_share=0.0, infinity_motion=3.0).as_json()],
     }
     return [json.dumps(about).encode()]
 

@@ -449,7 +449,7 @@ def test_load_of_a_damaged_account_of_itself(saved, text):
 @pytest.mark.parametrize("array", [np.zeros(3), np.array(["a", "b"]), np.array(b"{}")])
 def test_load_of_an_account_that_is_no_text(saved, array):
     rewritten(saved, about=array)
-    refused(saved, "about is")
+    refused(saved, "'about' is")
 
 
 def test_load_of_an_endless_account(saved):

@@ -28,6 +28,14 @@ class PairEvidence:
     zoom_gain: float  # residual of the free motion over that with a zoom
     parallax: float  # median motion beyond the free rotation, longer sides
 
+    @classmethod
+    def from_json(cls, record: dict[str, Any]) -> "PairEvidence":
+        """Return the evidence of a record with a number for each field."""
+        numbers: dict[str, Any] = {name: float(record[name]) for name in record if name != "rank"}
+        numbers |= {name: int(record[name]) for name in ("first", "second")}
+        rank = record["rank"]
+        return cls(**numbers, rank=None if rank is None else float(rank))
+
 
 @dataclass(frozen=True, kw_only=True)
 class PathCheck:
@@ -72,7 +80,7 @@ class PathCheck:
     def from_json(cls, record: dict[str, Any]) -> "PathCheck":
         """Return the check of a record of `as_json`."""
         return cls(
-            pairs=tuple(PairEvidence(**pair) for pair in record["pairs"]),
+            pairs=tuple(PairEvidence.from_json(pair) for pair in record["pairs"]),
             fixed_share=float(record["fixed_share"]),
             infinity_motion=float(record["infinity_motion"]),
         )
