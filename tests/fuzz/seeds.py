@@ -18,8 +18,8 @@ from tisfm.formats import write_depth_png, write_dpt, write_flo, write_kitti_flo
 from tisfm.formats.label_picture import write_label_png
 from tisfm.formats.npz import write_npz
 from tisfm.interpretation import Interpretation
-from tisfm.reconstruction.checks.evidence import PairEvidence, PathCheck
 from tisfm.reconstruction.result.moving_object import MovingObject
+from tisfm.reconstruction.result.path_check import PairEvidence, PathCheck
 from tisfm.status import History, Status
 from tisfm.trajectory import write_kitti, write_tum
 

@@ -1,9 +1,9 @@
-"""The pipeline of a whole sequence: read → track → solve → depth → write.
+"""The pipeline of a whole sequence: read → track → solve → depth → check → write.
 
 Each stage is a function. It takes the frozen results of earlier stages, and returns its own result:
-`read_frames` (which tracks each frame while the next one is read), `solve_path`, `find_depth` and
-`write_result`. Prepared frames and depth are too large for memory: they are stored in the folder of
-the result.
+`read_frames` (which tracks each frame while the next one is read), `solve_path`, `find_depth`,
+`check_pieces` and `write_result`. Prepared frames and depth are too large for memory: they are
+stored in the folder of the result.
 """
 
 import warnings
@@ -19,8 +19,8 @@ from tisfm.camera_file import FILE_NAME as CAMERA
 from tisfm.camera_file import write_camera
 from tisfm.errors import InputError
 from tisfm.focal_guess import GuessedFocalWarning
+from tisfm.lens import Undistortion
 from tisfm.reconstruction.calibration.source_camera import SourceCamera
-from tisfm.reconstruction.checks.evidence import PathCheck
 from tisfm.reconstruction.checks.fixed_pixels import camera_turns, find_fixed_pixels
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import Piece
@@ -43,6 +43,7 @@ from tisfm.reconstruction.result.folder import (
     write_record,
 )
 from tisfm.reconstruction.result.moving_object import MovingObject, refuse_unknown_ids
+from tisfm.reconstruction.result.path_check import PathCheck
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracker, SequenceTracks
 from tisfm.reconstruction.tracks.tracker import Observations
@@ -248,7 +249,7 @@ def solve_path(job: Job, reading: ReadingResult) -> PathResult:
             masked_path = solve_static_path(None, mask)
             if camera_turns(masked_path.pieces, frames.camera):
                 frames.ignore(mask)
-                path, fixed = masked_path, mask
+                path, fixed = masked_path, _without_distortion(mask, masked_path.camera)
         correct(path)
     else:
         if reading.labels is None:
@@ -257,6 +258,13 @@ def solve_path(job: Job, reading: ReadingResult) -> PathResult:
         refuse_unknown_ids(job.object_sizes, frames.object_ids())
     job.progress("path", len(reading.names), len(reading.names))
     return PathResult(path=path, camera=full_camera, fixed_pixels=fixed)
+
+
+def _without_distortion(mask: np.ndarray, camera: Camera) -> np.ndarray:
+    """Return a mask, (H, W) bool, for frames from which the distortion of a camera is removed."""
+    if camera.is_pinhole:
+        return mask
+    return Undistortion(camera, *mask.shape).apply_nearest(mask.astype(np.float32)) > 0
 
 
 def find_depth(job: Job, reading: ReadingResult, path: CameraPath) -> DepthResult:
@@ -317,14 +325,16 @@ def check_pieces(
     )
 
 
-def contradict(depth: DepthResult, checks: Sequence[PathCheck]) -> tuple[Status, ...]:
+def add_contradictions(depth: DepthResult, checks: Sequence[PathCheck]) -> tuple[Status, ...]:
     """Return the statuses of frames: all frames of a contradicted piece are contradicted."""
-    return tuple(
-        Status("contradicted", checks[piece].message)
-        if piece >= 0 and checks[piece].contradicts
-        else status
-        for status, piece in zip(depth.status, depth.piece.tolist(), strict=True)
-    )
+    statuses = []
+    for status, piece in zip(depth.status, depth.piece.tolist(), strict=True):
+        if piece >= 0 and checks[piece].contradicts:
+            is_new_piece = NEW_PIECE_NOTE in status.message
+            status = Status("contradicted", checks[piece].message)
+            status = add_piece_note(status) if is_new_piece else status
+        statuses.append(status)
+    return tuple(statuses)
 
 
 def write_result(
@@ -356,7 +366,7 @@ def write_result(
         poses=depth.poses,
         piece=depth.piece,
         unit=(1.0,) * len(path_result.path.pieces),
-        status=contradict(depth, checks),
+        status=add_contradictions(depth, checks),
         checks=checks,
         keyframes=depth.keyframes,
         camera=reading.frames.camera,

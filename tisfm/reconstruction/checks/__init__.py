@@ -1,1 +1,5 @@
-"""Checks of a result by evidence that the result was not made from."""
+"""Checks of a path by evidence that the path was not made from; pixels fixed on the sensor.
+
+May import: `camera`, `kernels`, `motion`, `reconstruction.frames`, `reconstruction.mapping`,
+`reconstruction.result` and `reconstruction.tracks`.
+"""

@@ -29,14 +29,11 @@ class DensePair:
     first: int  # number of the frame of the rays
     second: int
     shape: tuple[int, int]  # height and width of the shrunk frames
-    scale: float  # px of the shrunk frames per px of the frames
     rows: np.ndarray  # (N,) int: pixels of the rays in the shrunk frame
     columns: np.ndarray  # (N,) int
     rays: Rays
     path: Pose  # R and t of the path, ‖t‖ = 1
     free: Pose  # R and t of the motion that fits the rays best, ‖t‖ = 1
-    baseline: float  # ‖t‖ of the path
-    median_motion: float  # median length of the flow, longer sides
 
 
 def dense_pair(
@@ -72,12 +69,10 @@ def dense_pair(
     cx, cy = small_camera.center_for(height, width)
     positions = np.stack([columns - cx, rows - cy]).astype(np.float64)
     displacements = forward[rows, columns].T
-    lengths = np.hypot(*displacements)
     return DensePair(
         first=first[0],
         second=second[0],
         shape=(height, width),
-        scale=scale,
         rows=rows,
         columns=columns,
         rays=Rays(
@@ -88,8 +83,6 @@ def dense_pair(
         ),
         path=(motion[:3, :3], motion[:3, 3] / baseline),
         free=(free.rotation, free.translation / np.linalg.norm(free.translation)),
-        baseline=baseline,
-        median_motion=float(np.median(lengths)) / max(height, width),
     )
 
 

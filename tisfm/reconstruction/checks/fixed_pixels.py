@@ -16,6 +16,7 @@ from tisfm.reconstruction.checks.settings import CHECKS
 from tisfm.reconstruction.frames.image_motion import flow_scale, shrink_for_flow
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import Piece
+from tisfm.reconstruction.result.path_check import LIMITS
 
 DEVIATION_OF_MEDIAN = 1.4826  # standard deviation of a normal distribution over its median distance
 
@@ -33,7 +34,7 @@ def camera_turns(pieces: Sequence[Piece], camera: Camera) -> bool:
         return False
     poses = max((piece.poses for piece in pieces), key=len)
     rotations = [pose[:3, :3] for pose in poses.values()]
-    return infinity_motion(rotations, camera) > CHECKS.min_infinity_motion
+    return infinity_motion(rotations, camera) > LIMITS.min_infinity_motion
 
 
 def find_fixed_pixels(frames: PreparedFrames) -> np.ndarray | None:
@@ -47,7 +48,7 @@ def find_fixed_pixels(frames: PreparedFrames) -> np.ndarray | None:
         return None
     mask, fixed, moving = fixed_pixels([frames.grey(int(number)) for number in chosen])
     is_overlay = (
-        fixed > CHECKS.max_fixed_share * (fixed + moving) and moving > CHECKS.min_moving_share
+        fixed > LIMITS.max_fixed_share * (fixed + moving) and moving > CHECKS.min_moving_share
     )
     return mask if is_overlay else None
 

@@ -16,8 +16,8 @@ from tisfm.motion.epipolar_fit import (
     rotation_residual,
 )
 from tisfm.reconstruction.checks.dense_pair import DensePair
-from tisfm.reconstruction.checks.evidence import PairEvidence
 from tisfm.reconstruction.checks.settings import CHECKS
+from tisfm.reconstruction.result.path_check import PairEvidence
 
 
 def pair_evidence(

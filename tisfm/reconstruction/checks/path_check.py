@@ -6,11 +6,11 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.checks.dense_pair import dense_pair
-from tisfm.reconstruction.checks.evidence import PathCheck
 from tisfm.reconstruction.checks.fixed_pixels import fixed_pixels, infinity_motion
 from tisfm.reconstruction.checks.pair_evidence import pair_evidence
 from tisfm.reconstruction.checks.settings import CHECKS
 from tisfm.reconstruction.frames.image_motion import flow_scale, shrink_for_flow
+from tisfm.reconstruction.result.path_check import PathCheck
 from tisfm.reconstruction.tracks.tracker import Observations
 
 

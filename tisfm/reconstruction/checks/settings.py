@@ -37,17 +37,6 @@ class CheckSettings:
     min_fixed_frames: int = 5  # frames that show which pixels are fixed
     # share of the frame that has moving texture, if the camera moved
     min_moving_share: float = 0.03
-    # verdict; limits that separate 19 wrong paths from 22 right ones
-    max_excess: float = 0.05
-    max_residual_ratio: float = 1.6
-    max_direction: float = 8.0  # degrees
-    max_direction_deviations: float = 4.0
-    min_rank: float = 0.62
-    max_behind: float = 0.08
-    max_zoom_per_frame: float = 0.003  # logarithm
-    min_zoom_significance: float = 8.0
-    max_fixed_share: float = 0.02
-    min_infinity_motion: float = 2.0  # px of the shrunk frames
 
 
 CHECKS = CheckSettings()

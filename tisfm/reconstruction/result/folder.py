@@ -27,9 +27,9 @@ from tisfm.formats.images import decode_with_opencv
 from tisfm.formats.label_picture import read_label_picture, write_label_png
 from tisfm.formats.npz import NpzFile, write_npz
 from tisfm.formats.reading import read_bytes, read_json
-from tisfm.reconstruction.checks.evidence import PathCheck
 from tisfm.reconstruction.result.calibration import as_json, from_json
 from tisfm.reconstruction.result.moving_object import MovingObject
+from tisfm.reconstruction.result.path_check import PathCheck
 from tisfm.settings import Settings
 from tisfm.status import Status
 from tisfm.trajectory.poses import check_poses

@@ -12,7 +12,6 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.errors import InputError, OutOfRangeError
 from tisfm.point_cloud import PointCloud
-from tisfm.reconstruction.checks.evidence import PathCheck
 from tisfm.reconstruction.result.calibration import GIVEN, Calibration
 from tisfm.reconstruction.result.folder import (
     read_depth,
@@ -22,6 +21,7 @@ from tisfm.reconstruction.result.folder import (
     read_record,
 )
 from tisfm.reconstruction.result.moving_object import MovingObject
+from tisfm.reconstruction.result.path_check import PathCheck
 from tisfm.reconstruction.result.renewal import TemporaryFolder, copy_folder
 from tisfm.settings import Settings
 from tisfm.status import Status
