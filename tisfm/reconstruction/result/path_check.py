@@ -10,12 +10,13 @@ import numpy as np
 class Limits:
     """Limits of the evidence against a path.
 
-    With these limits, 19 wrong paths are contradicted and 22 right ones are not; those of the zoom
-    were set by hand, between 0.0005 and 0.0048 on rendered and real films.
+    An experiment on 41 paths set them: 19 wrong paths are contradicted, and 22 right ones are not.
+    The limits of the zoom were set by hand: right paths have at most 0.0005 at more than 8
+    deviations, and a film whose zoom is 0.5 % a frame has 0.0048.
     """
 
     max_excess: float = 0.05  # share of the rays
-    max_residual_ratio: float = 1.6
+    max_residual_ratio: float = 1.6  # residual of the path divided by that of the free motion
     max_direction: float = 8.0  # degrees
     max_direction_deviations: float = 4.0  # standard deviations of the free direction
     min_rank: float = 0.62  # rank correlation
@@ -32,7 +33,7 @@ LIMITS = Limits()
 
 @dataclass(frozen=True, kw_only=True)
 class PairEvidence:
-    """Evidence of one pair; each number is small if the path is right, `rank` is near 1."""
+    """Evidence of one pair. For a right path, ratios and `rank` are near 1, the rest is small."""
 
     first: int
     second: int
