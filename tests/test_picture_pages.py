@@ -50,7 +50,7 @@ def no_window():
 
 
 def test_first_claims_of_the_gallery_hold(no_window, tmp_path, monkeypatch):
-    """Those of pairs; the film of the gallery, and the other pages, take long."""
+    """Pages of pairs are short; the gallery's film and the other pages are nightly."""
     monkeypatch.chdir(tmp_path)
     names = {}
     for number, code in enumerate(cells("gallery")):

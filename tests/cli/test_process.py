@@ -14,7 +14,7 @@ from tisfm.cli.command_line import main
 
 
 def test_redirected_output_has_no_banner(frames):
-    """Neither a banner nor a progress bar in what is redirected; the module is the command."""
+    """Redirected output has no banner and no progress bar; the module is the command."""
     command = ["tisfm", "run", "frames", "-o", "out", "--no-figures", "--preset", "fast"]
     done = subprocess.run(
         [sys.executable, "-m", *command],

@@ -1,5 +1,6 @@
 """Fixed pixels are masked, and image motion contradicts a path with a wrong camera."""
 
+from dataclasses import replace
 from functools import cache
 
 import cv2
@@ -11,6 +12,7 @@ from tests.reconstruction.films import along, path_error
 from tests.rendered import room_film
 from tisfm.errors import InputError
 from tisfm.reconstruction.result.folder import FIXED
+from tisfm.reconstruction.result.path_check import PairEvidence, PathCheck
 
 FAST = tisfm.Settings.preset("fast", motion="camera")
 COUNT, HEIGHT, WIDTH = 10, 120, 160
@@ -104,3 +106,47 @@ def test_camera_at_rest_has_no_mask():
 def test_an_unknown_value_is_refused():
     with pytest.raises(InputError, match="fixed_pixels"):
         reconstructed(film().frames, fixed_pixels="no")
+
+
+GOOD = PairEvidence(
+    first=0, second=1, excess=0.0, residual_ratio=1.0, direction=1.0, direction_deviation=1.0,
+    rotation=0.0, behind=0.0, rank=0.9, zoom=0.0, zoom_deviation=0.001, zoom_gain=1.0,
+    parallax=0.01,
+)  # fmt: skip
+
+
+def check_of(fixed_share=0.0, infinity_motion=5.0, **changes):
+    """Return the check of a path with one pair, whose evidence is good but for the changes."""
+    pair = replace(GOOD, **changes)
+    return PathCheck(pairs=(pair,), fixed_share=fixed_share, infinity_motion=infinity_motion)
+
+
+@pytest.mark.parametrize(
+    ("changes", "objections", "contradicts"),
+    [
+        ({}, (), False),
+        ({"excess": 0.06}, ("excess",), False),
+        ({"residual_ratio": 1.7}, ("residual",), False),
+        ({"direction": 9.0}, ("direction",), False),
+        ({"direction": 9.0, "direction_deviation": 3.0}, (), False),
+        ({"rank": 0.5}, ("rank",), False),
+        ({"rank": None}, (), False),
+        ({"behind": 0.1}, ("behind",), False),
+        ({"excess": 0.06, "behind": 0.1}, ("excess", "behind"), True),
+        ({"zoom": 0.01}, ("zoom",), True),
+        ({"zoom": -0.01}, ("zoom",), True),
+        ({"zoom": 0.01, "zoom_deviation": 0.002}, (), False),
+        ({"zoom": 0.002, "zoom_deviation": 1e-4}, (), False),
+        ({"fixed_share": 0.03}, ("fixed",), True),
+        ({"fixed_share": 0.03, "infinity_motion": 1.0}, (), False),
+    ],
+)
+def test_evidence_beyond_its_limit_is_an_objection(changes, objections, contradicts):
+    check = check_of(**changes)
+    assert check.objections == objections
+    assert check.contradicts == contradicts == bool(check.message)
+
+
+def test_message_says_whether_the_picture_grows_or_shrinks():
+    assert "grows by 1.0 %" in check_of(zoom=np.log1p(0.01)).message
+    assert "shrinks by 1.0 %" in check_of(zoom=np.log1p(-0.01)).message

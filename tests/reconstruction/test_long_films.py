@@ -1,4 +1,4 @@
-"""Longer and larger films than those of the short tests, with tighter bounds."""
+"""Films that are longer and larger than in the short tests, with tighter bounds."""
 
 from dataclasses import replace
 

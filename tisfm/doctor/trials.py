@@ -11,7 +11,7 @@ from typing import Any
 
 _PROBE = Path(__file__).with_name("probe.py")
 _PROBE_CODE = (
-    # Modules of the working folder must not replace those of Python.
+    # Modules of the working folder must not replace modules of Python.
     "import sys; sys.path[:1] == [''] and sys.path.pop(0); import runpy; "
     "sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__')"
 )

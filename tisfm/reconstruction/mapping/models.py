@@ -61,7 +61,7 @@ class ViewGraph:
         *,
         is_focal_known: bool = True,
     ) -> "ViewGraph":
-        """Return the graph of views; the arguments are those of `find_models`."""
+        """Return the graph of views; the arguments are as for `find_models`."""
         tracks = choose_long_tracks([view.observations for view in views], max(shape))
         views = [
             replace(view, observations=view_tracks)

@@ -62,7 +62,7 @@ def rotation_residuals(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     which the directions were computed. So a rotation seen with a wrong focal length shows no
     parallax.
 
-    Parameters and result are those of `homography_residuals`. The angles are computed with the
+    Parameters and result are as for `homography_residuals`. The angles are computed with the
     stated focal length.
     """
     is_visible = (before[:, 2] > MIN_Z) & (after[:, 2] > MIN_Z)
