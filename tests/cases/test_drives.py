@@ -8,11 +8,11 @@ import tisfm
 pytestmark = [pytest.mark.filterwarnings("ignore::tisfm.focal_guess.GuessedFocalWarning")]
 
 
-def path_of(source, **options):
+def path_of(source, *, status, **options):
     found = tisfm.reconstruct(
         source, settings=tisfm.Settings.preset("fast", motion="camera"), depth_of="none", **options
     )
-    assert (found.piece == 0).all() and set(found.status) == {"converged"}
+    assert (found.piece == 0).all() and set(found.status) == {status}
     return np.asarray(found.poses)
 
 
@@ -35,19 +35,21 @@ def folder(shared_data, request):
 
 @pytest.mark.parametrize("folder", ["kitti_cars/images"], indirect=True)
 @pytest.mark.parametrize(
-    ("size", "focal"),
+    ("size", "focal", "status"),
     [
-        (640, None),
-        pytest.param(640, 721.5, marks=pytest.mark.nightly),
-        pytest.param(800, None, marks=pytest.mark.nightly),
+        # The guessed focal length is twice the true one.
+        (640, None, "contradicted"),
+        # Lorries and cars drive along: compared with a laser, depth is off by 40 % (median).
+        pytest.param(640, 721.5, "contradicted", marks=pytest.mark.nightly),
+        pytest.param(800, None, "converged", marks=pytest.mark.nightly),
     ],
 )
-def test_street_with_cars(folder, size, focal):
+def test_street_with_cars(folder, size, focal, status):
     camera = None if focal is None else tisfm.Camera(focal=focal)
-    assert_forward(path_of(folder, size=size, camera=camera))
+    assert_forward(path_of(folder, size=size, camera=camera, status=status))
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("folder", ["clips/carnd_solidWhiteRight.mp4"], indirect=True)
 def test_motorway(folder):
-    assert_forward(path_of(folder, start=120, stop=161, step=2))
+    assert_forward(path_of(folder, start=120, stop=161, step=2, status="converged"))

@@ -21,7 +21,6 @@ from tisfm.errors import InputError
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.lens import Undistortion
 from tisfm.reconstruction.calibration.source_camera import SourceCamera
-from tisfm.reconstruction.checks.fixed_pixels import camera_turns, find_fixed_pixels
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.objects.sequence_labels import (
@@ -31,6 +30,8 @@ from tisfm.reconstruction.objects.sequence_labels import (
 )
 from tisfm.reconstruction.path.given_path import given_path
 from tisfm.reconstruction.path.path_solver import CameraPath, PathSolver
+from tisfm.reconstruction.path_checks.fixed_texture import camera_turns, find_fixed_pixels
+from tisfm.reconstruction.path_checks.pieces import check_piece
 from tisfm.reconstruction.progress import DepthOf, FixedPixels, Progress, StopReading
 from tisfm.reconstruction.result.calibration import Calibrate, Calibration, as_json
 from tisfm.reconstruction.result.folder import (
@@ -45,6 +46,7 @@ from tisfm.reconstruction.result.folder import (
 from tisfm.reconstruction.result.moving_object import MovingObject, refuse_unknown_ids
 from tisfm.reconstruction.result.path_check import PathCheck
 from tisfm.reconstruction.result.reconstruction import Reconstruction
+from tisfm.reconstruction.result.statuses import NO_PARALLAX, add_piece_note, mark_contradicted
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracker, SequenceTracks
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.triangulation import track_depths
@@ -56,13 +58,6 @@ from tisfm.status import Status
 from tisfm.trajectory import Trajectory
 from tisfm.trajectory.times import times_note
 from tisfm.version import __version__
-
-NEW_PIECE_NOTE = (
-    "no track connects it with earlier frames: a new piece begins, with a scale of its own"
-)
-NO_PARALLAX = Status(
-    "little_parallax", "no nearby frame shows enough parallax for depth; its pose is known"
-)
 
 
 def _no_progress(stage: str, done: int, total: int | None) -> None:
@@ -214,7 +209,7 @@ def solve_path(job: Job, reading: ReadingResult) -> PathResult:
     With moving objects, every frame is labelled as well.
     """
     frames, full_camera = reading.frames, reading.camera.full_camera
-    fixed: np.ndarray | None = None
+    mask: np.ndarray | None = None
 
     def correct(path: CameraPath) -> None:
         nonlocal full_camera
@@ -231,25 +226,13 @@ def solve_path(job: Job, reading: ReadingResult) -> PathResult:
             )
         frames.correct(path.camera, path.rolling)
 
-    def solve_static_path(
-        calibrate: Calibrate | None, mask: np.ndarray | None = None
-    ) -> CameraPath:
-        tracker = _make_tracker(job, frames.camera, calibrate or job.calibrate)
-        for number in range(frames.count):
-            grey, ignored = frames.tracker_input(number)
-            if mask is not None:
-                ignored = mask if ignored is None else ignored | mask
-            tracker.add(grey, ignored, frames.flow(number))
-        return _solve_or_take_path(job, reading, tracker.finish(), calibrate or job.calibrate)
+    def solve_static_path(calibrate: Calibrate | None) -> CameraPath:
+        return _track_and_solve(job, reading, calibrate or job.calibrate)
 
     if reading.tracks is not None:
         path = _solve_or_take_path(job, reading, reading.tracks, job.calibrate)
-        mask = find_fixed_pixels(frames) if job.masks_fixed_pixels else None
-        if mask is not None:
-            masked_path = solve_static_path(None, mask)
-            if camera_turns(masked_path.pieces, frames.camera):
-                frames.ignore(mask)
-                path, fixed = masked_path, _without_distortion(mask, masked_path.camera)
+        if job.masks_fixed_pixels:
+            path, mask = _mask_fixed_pixels(job, reading, path)
         correct(path)
     else:
         if reading.labels is None:
@@ -257,14 +240,43 @@ def solve_path(job: Job, reading: ReadingResult) -> PathResult:
         path = find_static_path(frames, reading.labels, solve_static_path, correct)
         refuse_unknown_ids(job.object_sizes, frames.object_ids())
     job.progress("path", len(reading.names), len(reading.names))
-    return PathResult(path=path, camera=full_camera, fixed_pixels=fixed)
+    return PathResult(path=path, camera=full_camera, fixed_pixels=mask)
 
 
-def _without_distortion(mask: np.ndarray, camera: Camera) -> np.ndarray:
-    """Return a mask, (H, W) bool, for frames from which the distortion of a camera is removed."""
-    if camera.is_pinhole:
-        return mask
-    return Undistortion(camera, *mask.shape).apply_nearest(mask.astype(np.float32)) > 0
+def _track_and_solve(
+    job: Job, reading: ReadingResult, calibrate: Calibrate, mask: np.ndarray | None = None
+) -> CameraPath:
+    """Return the path from new tracks; pixels of a mask, (H, W) bool, have no tracks."""
+    frames = reading.frames
+    tracker = _make_tracker(job, frames.camera, calibrate)
+    for number in range(frames.count):
+        grey, ignored = frames.tracker_input(number)
+        if mask is not None:
+            ignored = mask if ignored is None else ignored | mask
+        tracker.add(grey, ignored, frames.flow(number))
+    return _solve_or_take_path(job, reading, tracker.finish(), calibrate)
+
+
+def _mask_fixed_pixels(
+    job: Job, reading: ReadingResult, path: CameraPath
+) -> tuple[CameraPath, np.ndarray | None]:
+    """Mask pixels that are fixed on the sensor, and return the path without them, and the mask.
+
+    The mask, (H, W) bool, is None if there are hardly any such pixels, or if the path without them
+    shows no turn: they may be far points. Then the path stays as it is.
+    """
+    frames = reading.frames
+    mask = find_fixed_pixels(frames)
+    if mask is None:
+        return path, None
+    masked_path = _track_and_solve(job, reading, job.calibrate, mask)
+    if not camera_turns(masked_path.pieces, frames.camera):
+        return path, None
+    frames.ignore(mask)
+    camera = masked_path.camera
+    if not camera.is_pinhole:  # later stages see frames without distortion
+        mask = Undistortion(camera, *mask.shape).apply_nearest(mask.astype(np.float32)) > 0
+    return masked_path, mask
 
 
 def find_depth(job: Job, reading: ReadingResult, path: CameraPath) -> DepthResult:
@@ -301,7 +313,6 @@ def check_pieces(
     job: Job, frames: PreparedFrames, path: CameraPath, depth: DepthResult
 ) -> tuple[PathCheck, ...]:
     """Check every piece of the path, and its depth, against the image motion."""
-    from tisfm.reconstruction.checks.path_check import check_piece
 
     def static_pixels(frame: int) -> np.ndarray:
         used_pixels = frames.used_pixels(frame)
@@ -323,18 +334,6 @@ def check_pieces(
         )
         for piece in path.pieces
     )
-
-
-def add_contradictions(depth: DepthResult, checks: Sequence[PathCheck]) -> tuple[Status, ...]:
-    """Return the statuses of frames: all frames of a contradicted piece are contradicted."""
-    statuses = []
-    for status, piece in zip(depth.status, depth.piece.tolist(), strict=True):
-        if piece >= 0 and checks[piece].contradicts:
-            is_new_piece = NEW_PIECE_NOTE in status.message
-            status = Status("contradicted", checks[piece].message)
-            status = add_piece_note(status) if is_new_piece else status
-        statuses.append(status)
-    return tuple(statuses)
 
 
 def write_result(
@@ -366,7 +365,7 @@ def write_result(
         poses=depth.poses,
         piece=depth.piece,
         unit=(1.0,) * len(path_result.path.pieces),
-        status=add_contradictions(depth, checks),
+        status=mark_contradicted(depth.status, depth.piece.tolist(), checks),
         checks=checks,
         keyframes=depth.keyframes,
         camera=reading.frames.camera,
@@ -498,17 +497,6 @@ def median_track_depth(piece: Piece, observations: Sequence[Observations]) -> fl
         if len(depths):
             return float(np.median(depths))
     return 1.0
-
-
-def add_piece_note(status: Status) -> Status:
-    """Return the status of the first frame of a later piece, with a note on the new piece."""
-    message = f"{status.message}; {NEW_PIECE_NOTE}" if status.message else NEW_PIECE_NOTE
-    return Status(str(status), message)
-
-
-def remove_piece_note(status: Status) -> Status:
-    """Return a status without the note of `add_piece_note`."""
-    return Status(str(status), status.message.removesuffix(NEW_PIECE_NOTE).removesuffix("; "))
 
 
 def _frame_count(source: FrameSource) -> int | None:

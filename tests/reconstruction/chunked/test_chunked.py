@@ -24,7 +24,7 @@ from tisfm.camera_file import read_camera
 from tisfm.reconstruction import pipeline as run_module
 from tisfm.reconstruction.chunks.entry import ChunkedRun, reconstruct_in_chunks
 from tisfm.reconstruction.path.path_solver import PathSolver
-from tisfm.reconstruction.pipeline import NEW_PIECE_NOTE
+from tisfm.reconstruction.result.statuses import NEW_PIECE_NOTE
 
 
 @pytest.fixture(scope="module")

@@ -21,6 +21,7 @@ from tisfm.reconstruction.geometry.sim3 import sim3_scale, transform_pose
 from tisfm.reconstruction.geometry.sim3_graph import chain_sim3
 from tisfm.reconstruction.result.folder import CACHE, PICTURES, depth_path, write_record
 from tisfm.reconstruction.result.reconstruction import Reconstruction
+from tisfm.reconstruction.result.statuses import add_piece_note, remove_piece_note
 from tisfm.status import Status
 
 
@@ -265,8 +266,6 @@ def _statuses(
     missing: Mapping[int, Status],
 ) -> list[Status]:
     """Return the status of each frame; the first frame of each later piece gets a note."""
-    from tisfm.reconstruction.pipeline import add_piece_note, remove_piece_note
-
     statuses, known_pieces = [], {-1, 0}
     for frame, (result, placement) in enumerate(zip(results, placements, strict=True)):
         status = missing.get(frame, remove_piece_note(result.status[placement.number]))

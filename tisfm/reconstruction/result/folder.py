@@ -23,7 +23,7 @@ from tisfm.folders.files import REPORT, TIMINGS
 from tisfm.folders.result_folder import make_subfolder
 from tisfm.formats import FormatError, atomic_write
 from tisfm.formats.image_headers import MAX_IMAGE_PIXELS, refuse_large_image
-from tisfm.formats.images import decode_with_opencv
+from tisfm.formats.images import decode_with_opencv, write_png
 from tisfm.formats.label_picture import read_label_picture, write_label_png
 from tisfm.formats.npz import NpzFile, write_npz
 from tisfm.formats.reading import read_bytes, read_json
@@ -44,11 +44,11 @@ PICTURES = "frames"
 CACHE = "cache"
 MASKS = "masks"
 OBJECTS = "objects.json"
-FIXED = "mask.png"
+FIXED_MASK = "mask.png"
 MAX_HALF = 60000.0  # largest stored float16 value; the largest possible value is 65504
 # Errors from reading damaged JSON, or numbers outside NumPy's range.
 _READ_ERRORS = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
-PARTS = (RECORD, PATH, DEPTH, PICTURES, CAMERA, MASKS, OBJECTS, FIXED)
+PARTS = (RECORD, PATH, DEPTH, PICTURES, CAMERA, MASKS, OBJECTS, FIXED_MASK)
 _HALF_ARRAYS = ("inverse_depth", "inverse_depth_std")
 REQUEST = "asked.json"  # the request of `tisfm reconstruct`
 OPTIONAL_FILES = (
@@ -123,15 +123,12 @@ def read_labels(folder: Path, number: int, shape: tuple[int, int]) -> np.ndarray
 
 def write_mask(folder: Path, mask: np.ndarray) -> None:
     """Write the pixels that are masked in all frames, (H, W) bool: black in a PNG."""
-    is_encoded, data = cv2.imencode(".png", np.where(mask, 0, 255).astype(np.uint8))
-    assert is_encoded
-    with atomic_write(folder / FIXED) as file:
-        file.write(data.tobytes())
+    write_png(folder / FIXED_MASK, np.where(mask, 0, 255).astype(np.uint8))
 
 
 def read_mask(folder: Path, shape: tuple[int, int]) -> np.ndarray | None:
     """Return the pixels that are masked in all frames, (H, W) bool; None if there are none."""
-    path = folder / FIXED
+    path = folder / FIXED_MASK
     if not path.exists():
         return None
     data = read_bytes(path)

@@ -180,6 +180,6 @@ class PathCheck:
         }
         evidence = "; ".join(texts[name] for name in objections)
         return (
-            f"the image motion contradicts the path: {evidence}. Give the focal length, a mask of "
-            "moving objects, or other frames"
+            f"the image motion contradicts the path or its depth: {evidence}. Give the focal "
+            'length, a mask of moving objects or motion="objects", or other frames'
         )

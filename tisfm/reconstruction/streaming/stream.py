@@ -29,9 +29,9 @@ from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.depth.window_depth import WindowDepth
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import Piece
-from tisfm.reconstruction.pipeline import NO_PARALLAX, add_piece_note
 from tisfm.reconstruction.result.calibration import GIVEN, Calibrate
 from tisfm.reconstruction.result.folder import CACHE, PICTURES, read_picture
+from tisfm.reconstruction.result.statuses import NO_PARALLAX, add_piece_note
 from tisfm.reconstruction.streaming.sliding_path import SlidingPath, SlidingSolution
 from tisfm.reconstruction.streaming.streamed_frame import StreamedFrame
 from tisfm.reconstruction.tracks.triangulation import track_depths

@@ -12,7 +12,6 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.motion.egomotion import TooFewPixelsError, camera_motion
 from tisfm.motion.epipolar_fit import Pose, Rays
-from tisfm.reconstruction.checks.settings import CHECKS
 from tisfm.reconstruction.frames.image_motion import (
     TRACKING_SETTINGS,
     consistency_mask,
@@ -20,6 +19,7 @@ from tisfm.reconstruction.frames.image_motion import (
     flow_scale,
     shrink_for_flow,
 )
+from tisfm.reconstruction.path_checks.settings import PATH_CHECKS
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,7 +36,7 @@ class DensePair:
     free: Pose  # R and t of the motion that fits the rays best, ‖t‖ = 1
 
 
-def dense_pair(
+def find_dense_pair(
     # first, second: (number, (H, W) uint8 grey levels) of two frames
     first: tuple[int, np.ndarray],
     second: tuple[int, np.ndarray],
@@ -54,12 +54,13 @@ def dense_pair(
     height, width = small0.shape
     size = width, height
     static = cv2.resize(is_static.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-    used = (consistency_mask(forward, backward) > 0) & textured_pixels(small0) & static
-    used[: CHECKS.border] = used[-CHECKS.border :] = False
-    used[:, : CHECKS.border] = used[:, -CHECKS.border :] = False
+    used = (consistency_mask(forward, backward) > 0) & find_textured_pixels(small0) & static
+    border = PATH_CHECKS.border
+    used[:border] = used[-border:] = False
+    used[:, :border] = used[:, -border:] = False
     rows, columns = np.nonzero(used)
     baseline = float(np.linalg.norm(motion[:3, 3]))
-    if len(rows) < CHECKS.min_pixels or baseline == 0:
+    if len(rows) < PATH_CHECKS.min_pixels or baseline == 0:
         return None
     small_camera = camera.scaled(scale, *first[1].shape)
     try:
@@ -86,11 +87,11 @@ def dense_pair(
     )
 
 
-def textured_pixels(
+def find_textured_pixels(
     grey: np.ndarray,  # (H, W) float32
 ) -> np.ndarray:
     """Return the pixels with texture in all directions, (H, W) bool."""
-    window = (CHECKS.texture_window,) * 2
+    window = (PATH_CHECKS.texture_window,) * 2
     gradient_x, gradient_y = (
         cv2.Sobel(grey, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1))
     )
@@ -100,4 +101,4 @@ def textured_pixels(
     )
     mean, determinant = (xx + yy) / 2, xx * yy - xy**2
     smallest = mean - np.sqrt(np.maximum(mean**2 - determinant, 0))
-    return np.asarray(smallest > CHECKS.min_texture)
+    return np.asarray(smallest > PATH_CHECKS.min_texture)

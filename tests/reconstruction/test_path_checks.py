@@ -11,7 +11,7 @@ import tisfm
 from tests.reconstruction.films import along, path_error
 from tests.rendered import room_film
 from tisfm.errors import InputError
-from tisfm.reconstruction.result.folder import FIXED
+from tisfm.reconstruction.result.folder import FIXED_MASK
 from tisfm.reconstruction.result.path_check import PairEvidence, PathCheck
 
 FAST = tisfm.Settings.preset("fast", motion="camera")
@@ -58,7 +58,7 @@ def test_right_path_is_not_contradicted(tmp_path):
     assert set(result.status) == {"converged"}
     assert len(check.pairs) >= 2 and check.infinity_motion > 5
     assert tisfm.Reconstruction.load(tmp_path).checks == result.checks
-    assert not (tmp_path / FIXED).exists()
+    assert not (tmp_path / FIXED_MASK).exists()
 
 
 def test_overlay_is_masked(tmp_path):

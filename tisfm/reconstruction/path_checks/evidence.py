@@ -1,7 +1,7 @@
 """Evidence of a pair of frames against the motion that a path states for it."""
 
-import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 from scipy.stats import spearmanr
 
 from tisfm.motion.epipolar_fit import (
@@ -15,23 +15,23 @@ from tisfm.motion.epipolar_fit import (
     robust_deviation,
     rotation_residual,
 )
-from tisfm.reconstruction.checks.dense_pair import DensePair
-from tisfm.reconstruction.checks.settings import CHECKS
+from tisfm.reconstruction.path_checks.dense_pairs import DensePair
+from tisfm.reconstruction.path_checks.settings import PATH_CHECKS
 from tisfm.reconstruction.result.path_check import PairEvidence
 
 
-def pair_evidence(
+def weigh_pair(
     pair: DensePair,
     inverse_depth: np.ndarray | None,  # (h, w): of the shrunk first frame
 ) -> PairEvidence:
-    """Return the evidence of a pair."""
-    sample = pair.rays.subsample(max(1, len(pair.rows) // CHECKS.max_rays))
+    """Return the evidence of a pair for and against the path."""
+    sample = pair.rays.subsample(max(1, len(pair.rows) // PATH_CHECKS.max_rays))
     path_points, free_points = (nearest_points(pair.rays, *pose) for pose in (pair.path, pair.free))
     path_residual, free_residual = (
         robust_deviation(np.abs(nearest_points(sample, *pose).distance), sample.trust)
         for pose in (pair.path, pair.free)
     )
-    limit = max(CHECKS.off_line_distance, CHECKS.off_line_deviations * free_residual)
+    limit = max(PATH_CHECKS.off_line_distance, PATH_CHECKS.off_line_deviations * free_residual)
     off_path, off_free = (
         float((np.abs(points.distance) > limit).mean()) for points in (path_points, free_points)
     )
@@ -45,8 +45,8 @@ def pair_evidence(
         first=pair.first,
         second=pair.second,
         excess=off_path - off_free,
-        residual_ratio=max(path_residual, CHECKS.min_residual)
-        / max(free_residual, CHECKS.min_residual),
+        residual_ratio=max(path_residual, PATH_CHECKS.min_residual)
+        / max(free_residual, PATH_CHECKS.min_residual),
         direction=angle_between(pair.path[1], pair.free[1]),
         direction_deviation=direction_deviation(sample, pair.free),
         rotation=rotation_angle(pair.path[0] @ pair.free[0].T),
@@ -54,8 +54,8 @@ def pair_evidence(
         rank=depth_rank(pair, free_points, inverse_depth),
         zoom=zoom,
         zoom_deviation=zoom_deviation,
-        zoom_gain=max(free_residual, CHECKS.min_zoom_residual)
-        / max(zoom_residual, CHECKS.min_zoom_residual),
+        zoom_gain=max(free_residual, PATH_CHECKS.min_zoom_residual)
+        / max(zoom_residual, PATH_CHECKS.min_zoom_residual),
         parallax=float(np.median(free_parallax)) / max(pair.shape),
     )
 
@@ -67,7 +67,7 @@ def angle_between(first: np.ndarray, second: np.ndarray) -> float:
 
 def rotation_angle(rotation: np.ndarray) -> float:
     """Return the angle of a rotation, (3, 3), degrees."""
-    return float(np.degrees(np.linalg.norm(cv2.Rodrigues(rotation)[0])))
+    return float(np.degrees(Rotation.from_matrix(rotation).magnitude()))
 
 
 def direction_deviation(rays: Rays, pose: Pose) -> float:
@@ -86,7 +86,7 @@ def depth_rank(
         return None
     depth = inverse_depth[pair.rows, pair.columns]
     valid = np.isfinite(depth) & (depth > 0)
-    if valid.sum() < CHECKS.min_pixels:
+    if valid.sum() < PATH_CHECKS.min_pixels:
         return None
     return float(spearmanr(depth[valid], points.inverse_depth[valid]).statistic)
 
@@ -98,7 +98,7 @@ def fit_zoom(rays: Rays, pose: Pose) -> tuple[float, float, float]:
     """
     rotation, translation = pose
     zoom, scale, matrix = 0.0, 0.0, np.eye(7)
-    for _ in range(CHECKS.zoom_iterations):
+    for _ in range(PATH_CHECKS.zoom_iterations):
         unzoomed = Rays(
             rays0=rays.rays0,
             rays1=rays.rays1 * np.exp(-zoom),
@@ -112,17 +112,18 @@ def fit_zoom(rays: Rays, pose: Pose) -> tuple[float, float, float]:
         jacobian = np.vstack([distance_jacobian(points, rays.focal), by_zoom])
         matrix, scale = _normal_equations(points, unzoomed, jacobian)
         weight = _robust_weights(points.distance, scale, rays.trust)
-        gradient = jacobian @ (weight * points.distance) / scale**2 / CHECKS.correlated_pixels
+        gradient = jacobian @ (weight * points.distance) / scale**2 / PATH_CHECKS.correlated_pixels
         along = np.concatenate([translation, np.zeros(4)])
+        # The length of the translation is not determined; a little on the diagonal avoids 0 / 0.
         matrix += (np.trace(matrix) + 1e-30) * (np.outer(along, along) + 1e-9 * np.eye(7))
-        matrix[6, 6] += 1 / CHECKS.zoom_deviation**2
-        gradient[6] -= zoom / CHECKS.zoom_deviation**2
+        matrix[6, 6] += 1 / PATH_CHECKS.zoom_deviation**2
+        gradient[6] -= zoom / PATH_CHECKS.zoom_deviation**2
         step = np.linalg.solve(matrix, gradient)
-        turn = cv2.Rodrigues(step[3:6])[0]
+        turn = Rotation.from_rotvec(step[3:6]).as_matrix()
         rotation, translation = turn @ rotation, turn @ translation + step[:3]
         translation = translation / np.linalg.norm(translation)
-        zoom = float(np.clip(zoom + step[6], -CHECKS.max_zoom, CHECKS.max_zoom))
-        if np.linalg.norm(step) < 1e-7:
+        zoom = float(np.clip(zoom + step[6], -PATH_CHECKS.max_zoom, PATH_CHECKS.max_zoom))
+        if np.linalg.norm(step) < PATH_CHECKS.min_zoom_step:
             break
     return zoom, float(np.sqrt(np.linalg.inv(matrix)[6, 6])), scale
 
@@ -131,9 +132,9 @@ def _normal_equations(
     points: EpipolarPoints, rays: Rays, jacobian: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """Return the information matrix of a robust fit, and the deviation of distances, px."""
-    scale = max(robust_deviation(np.abs(points.distance), rays.trust), 0.02)
+    scale = max(robust_deviation(np.abs(points.distance), rays.trust), PATH_CHECKS.min_scale)
     weight = _robust_weights(points.distance, scale, rays.trust)
-    return (jacobian * weight) @ jacobian.T / scale**2 / CHECKS.correlated_pixels, scale
+    return (jacobian * weight) @ jacobian.T / scale**2 / PATH_CHECKS.correlated_pixels, scale
 
 
 def _robust_weights(distance: np.ndarray, scale: float, trust: np.ndarray) -> np.ndarray:

@@ -1,0 +1,40 @@
+"""Statuses of frames that depend on their piece of the path."""
+
+from collections.abc import Sequence
+
+from tisfm.reconstruction.result.path_check import PathCheck
+from tisfm.status import Status
+
+NEW_PIECE_NOTE = (
+    "no track connects it with earlier frames: a new piece begins, with a scale of its own"
+)
+NO_PARALLAX = Status(
+    "little_parallax", "no nearby frame shows enough parallax for depth; its pose is known"
+)
+
+
+def add_piece_note(status: Status) -> Status:
+    """Return the status of the first frame of a later piece, with a note on the new piece."""
+    message = f"{status.message}; {NEW_PIECE_NOTE}" if status.message else NEW_PIECE_NOTE
+    return Status(str(status), message)
+
+
+def remove_piece_note(status: Status) -> Status:
+    """Return a status without the note of `add_piece_note`."""
+    return Status(str(status), status.message.removesuffix(NEW_PIECE_NOTE).removesuffix("; "))
+
+
+def mark_contradicted(
+    statuses: Sequence[Status],
+    pieces: Sequence[int],  # piece of each frame, −1 for none
+    checks: Sequence[PathCheck],  # of each piece
+) -> tuple[Status, ...]:
+    """Return the statuses of frames: all frames of a contradicted piece are contradicted."""
+    marked = []
+    for status, piece in zip(statuses, pieces, strict=True):
+        if piece >= 0 and checks[piece].contradicts:
+            is_new_piece = NEW_PIECE_NOTE in status.message
+            status = Status("contradicted", checks[piece].message)
+            status = add_piece_note(status) if is_new_piece else status
+        marked.append(status)
+    return tuple(marked)
