@@ -7,6 +7,7 @@ linear system, `untextured` and `focal` difficult input, `writing` the cost of s
 
 Packages: `kernels` times kernels and whole pairs against the NumPy `reference` (``bench``), `depth`
 measures depth and motion of the camera, `objects` moving objects, `sequences` whole sequences,
-`scaling` time and memory over size, `view` the viewer, and `regression` another checkout. `shared`
-is their common code; it imports no benchmark.
+`scaling` time and memory over size, `view` the viewer, `trust` whether results that are reported
+as good are wrong, and `regression` another checkout. `shared` is their common code; it imports no
+benchmark.
 """

@@ -127,8 +127,12 @@ def fault_of(code: int) -> str:
 
 
 def run_smoke_contests() -> bool:
-    """Run small contests of peers and of changed settings; return whether both succeeded."""
-    commands = (["bench.peers"], ["bench.ablation", "--preset", "fast", "--only", "warp"])
+    """Run small contests of peers and settings, and of trust; return whether all succeeded."""
+    commands = (
+        ["bench.peers"],
+        ["bench.ablation", "--preset", "fast", "--only", "warp"],
+        ["bench.trust", "--jobs", "1", "--again"],
+    )
     return all(
         subprocess.run(
             [sys.executable, "-m", *command, "--smoke"], cwd=ROOT, check=False

@@ -1,0 +1,175 @@
+"""The cases of the bench: worlds with disturbances, and clips of real sequences."""
+
+import hashlib
+from dataclasses import dataclass, field
+from typing import Literal
+
+from bench.trust.films import Disturbance
+from bench.trust.worlds import MAKERS
+
+Task = Literal["sequence", "pair"]
+# The focal length that the program gets: the true one, none, or a multiple of the true one.
+FOCALS = {"": 1.0, "focal unknown": None, "focal ×0.6": 0.6, "focal ×1.6": 1.6}
+SPLIT = 71  # chosen without results: most kinds and half of the real sequences are in each half
+SMALL = (120, 160), 8  # height and width, px, and frames of the films of a smoke run
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clip:
+    """Frames of a real sequence."""
+
+    folder: str
+    start: int = 0
+    count: int = 16
+    step: int = 1
+    size: int = 400  # px: longer side of the frames of a sequence
+    gap: int = 1  # frames of the clip from the first to the second frame of a pair
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One input and what the program is told about its camera."""
+
+    task: Task
+    scene: str  # world, or folder of a real sequence
+    disturbance: Disturbance = field(default_factory=Disturbance)
+    focal: str = ""  # a name of `FOCALS`
+    clip: Clip | None = None
+
+    @property
+    def name(self) -> str:
+        words = [self.scene]
+        if self.clip is not None and self.clip.start:
+            words[0] += f" from {self.clip.start}"
+        words += [w for w in (self.disturbance.name, self.focal) if w and w != "clean"]
+        return f"{', '.join(words)}{' (pair)' if self.task == 'pair' else ''}"
+
+    @property
+    def kind(self) -> str:
+        """What is wrong on purpose; "clean" for nothing."""
+        if self.disturbance.kind != "clean":
+            return self.disturbance.kind
+        return "clean" if FOCALS[self.focal] in (1.0, None) else "focal"
+
+    @property
+    def is_clean(self) -> bool:
+        """Whether nothing is wrong with the input: it should be right and green."""
+        hard = ("tiles", "sparse", "mirror", "tum_fr1_rpy", "kitti_cars")
+        return self.kind == "clean" and not self.focal and not self.scene.startswith(hard)
+
+    @property
+    def half(self) -> str:
+        return half_of(self.scene)
+
+
+def half_of(scene: str) -> str:
+    """Return "A" or "B": all cases of a scene are in one half."""
+    return "AB"[hashlib.sha256(f"{SPLIT} {scene}".encode()).digest()[0] % 2]
+
+
+def _of(kind: str, *strengths: float) -> list[Disturbance]:
+    return [Disturbance(kind=kind, strength=strength) for strength in strengths]
+
+
+# World → its disturbances, beside none.
+DISTURBED: dict[str, list[Disturbance]] = {
+    "room 0": [
+        *_of("overlay", 0.15), *_of("zoom", 0.0025, 0.02), *_of("lens", -0.08), *_of("bands", 0.25),
+        *_of("noise", 20), *_of("flicker", 0.3), *_of("cut", 0), *_of("fixed noise", 12),
+    ],
+    "room 1": [
+        *_of("overlay", 0.3), *_of("vignette", 0.9), *_of("fixed noise", 6), *_of("shutter", 0.8),
+        *_of("zoom", -0.005),
+    ],
+    "room 2": [*_of("caption", 0), *_of("exposure", 0.4), *_of("pan", 0.02)],
+    "room 3": [*_of("brighter frame", 40), *_of("roll", 0.06), *_of("low parallax", 0.04)],
+    "bare room 0": [*_of("fixed noise", 4), *_of("logo", 0.25)],
+    "yard 0": [
+        *_of("logo", 0.25), *_of("zoom", 0.005, -0.01), *_of("lens", 0.15), *_of("roll", 0.05),
+        *_of("fixed noise", 8), *_of("traffic", 3), *_of("shutter", 0.5),
+    ],
+    "yard 1": [
+        *_of("overlay", 0.15), *_of("zoom", 0.01), *_of("pan", -0.015), *_of("noise", 10),
+        *_of("exposure", 0.25), *_of("lens", -0.2), *_of("low parallax", 0.05), *_of("cut", 0),
+    ],
+    "yard 2": [
+        *_of("letterbox", 0.12), *_of("brighter frame", 40), *_of("truck", 3.0), *_of("lens", -0.1),
+        *_of("bands", 0.15), *_of("overlay", 0.3),
+    ],
+    "yard 3": [*_of("lens", -0.5, 0.5), *_of("vignette", 0.7), *_of("zoom", 0.0025)],
+    "street 0": [
+        *_of("bonnet", 0.3), *_of("zoom", 0.005, 0.02), *_of("traffic", 3), *_of("truck", 2.2),
+        *_of("lens", -0.1), *_of("flicker", 0.15), *_of("bands", 0.2),
+    ],
+    "street 1": [
+        *_of("bonnet", 0.2), *_of("traffic", 6), *_of("truck", 4.0), *_of("vignette", 0.6),
+        *_of("zoom", -0.02), *_of("logo", 0.2), *_of("overlay", 0.15),
+    ],
+    "street 2": [*_of("pan", 0.01), *_of("bonnet", 0.35), *_of("noise", 15)],
+    "street 3": [*_of("overlay", 0.3), *_of("low parallax", 0.1), *_of("fixed noise", 6)],
+    "table 0": [*_of("zoom", 0.01), *_of("caption", 0), *_of("brighter frame", 60)],
+    "wobbling floor": [*_of("zoom", 0.01), *_of("overlay", 0.15)],
+    "tilted floor": [*_of("lens", -0.1)],
+}  # fmt: skip
+# World without a disturbance → names of `FOCALS`, beside the true one.
+FOCALS_OF_WORLDS = {
+    "room 0": ["focal unknown", "focal ×0.6", "focal ×1.6"],
+    "room 2": ["focal unknown"],
+    "yard 0": ["focal unknown", "focal ×1.6"],
+    "yard 3": ["focal unknown", "focal ×0.6"],
+    "street 0": ["focal unknown", "focal ×0.6", "focal ×1.6"],
+    "street 3": ["focal unknown"],
+    "table 0": ["focal unknown", "focal ×1.6"],
+    "slanted wall": ["focal unknown"],
+}
+CLIPS = (
+    Clip(folder="tartanair"),
+    Clip(folder="tartanair", start=16),
+    Clip(folder="hololens", start=2),
+    Clip(folder="hololens", start=40),
+    Clip(folder="new_tsukuba", step=2),
+    Clip(folder="new_tsukuba", start=42, step=2),
+    Clip(folder="sevenscenes", start=28, step=2, gap=2),
+    Clip(folder="fountain", count=11),
+    Clip(folder="kitti_odometry_06", size=480),
+    Clip(folder="kitti_odometry_06", start=30, size=480),
+    Clip(folder="tum_fr1_rpy", count=20, gap=3),
+    Clip(folder="kitti_cars", size=480),
+    Clip(folder="kitti_cars", start=8, size=640),
+)
+
+
+def sequence_cases() -> list[Case]:
+    """Return all sequences, in the order of their scenes."""
+    cases = []
+    for world in MAKERS:
+        cases.append(Case(task="sequence", scene=world))
+        cases += [
+            Case(task="sequence", scene=world, disturbance=d) for d in DISTURBED.get(world, [])
+        ]
+        cases += [
+            Case(task="sequence", scene=world, focal=f) for f in FOCALS_OF_WORLDS.get(world, [])
+        ]
+    for clip in CLIPS:
+        focals = ["", "focal unknown"]
+        if clip.start == 0 or clip.folder in ("hololens", "sevenscenes"):
+            focals = list(FOCALS) if clip.start != 40 else focals
+        cases += [Case(task="sequence", scene=clip.folder, clip=clip, focal=f) for f in focals]
+    return cases
+
+
+def smoke_cases() -> list[Case]:
+    """Return a few quick cases."""
+    overlay = Disturbance(kind="overlay", strength=0.3)
+    return [
+        Case(task="sequence", scene="room 0"),
+        Case(task="sequence", scene="room 0", disturbance=overlay),
+    ]
+
+
+def by_scene(cases: list[Case]) -> list[list[Case]]:
+    """Return the cases in groups of one scene each, which share their films."""
+    groups: dict[str, list[Case]] = {}
+    for case in cases:
+        groups.setdefault(case.scene, []).append(case)
+    return list(groups.values())

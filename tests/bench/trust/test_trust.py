@@ -1,0 +1,152 @@
+"""The benchmark that asks whether a result that is reported as good is wrong."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from bench.trust import cases, films, judge, report
+from bench.trust.worlds import smooth_path
+from tisfm.rigid import pose_matrix
+from tisfm.status import Status
+
+POSES = smooth_path(0, (0.1, 0.0, 0.05), (0, 0.02, 0))
+
+
+def result_of(poses, depth, code="converged"):
+    """Return the part of a reconstruction that is judged."""
+    count = len(poses)
+    return type(
+        "Result",
+        (),
+        {
+            "poses": poses,
+            "piece": np.where(np.isfinite(poses[:, 0, 0]), 0, -1),
+            "status": (Status(code),) * count,
+            "checks": (),
+            "depth": lambda self, k: depth,
+            "__len__": lambda self: count,
+        },
+    )()
+
+
+def judged(poses, depth, code="converged", truth=POSES):
+    true_depth = np.tile(np.linspace(2, 6, 40), (20, 1))
+    return judge.judge_sequence(result_of(poses, depth, code), truth, [true_depth] * len(poses))
+
+
+TRUE_DEPTH = np.tile(np.linspace(2, 6, 40), (20, 1))
+
+
+def in_other_axes(poses):
+    """Return poses in another unit and with other axes of the world."""
+    other = pose_matrix((1, 2, 3, 0.4, -0.2, 0.9))
+    moved = other @ poses
+    moved[:, :3, 3] *= 2.5
+    return moved
+
+
+def test_a_right_result_is_right_in_any_unit_and_axes():
+    found = judged(in_other_axes(POSES), 7 * TRUE_DEPTH)
+    assert found["outcome"] == "right, green"
+    (piece,) = found["pieces"]
+    assert max(piece["errors"][n] for n in ("rotation", "path", "direction", "depth")) < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("fault", "change"),
+    [
+        ("rotation", (0, 0, 0, 0, 0, 0.12)),
+        ("path", (0.2, 0, 0, 0, 0, 0)),
+    ],
+)
+def test_a_wrong_frame_makes_the_piece_wrong(fault, change):
+    poses = POSES.copy()
+    poses[7] = poses[7] @ pose_matrix(change)
+    found = judged(poses, TRUE_DEPTH)
+    assert found["outcome"] == "wrong, green"
+    assert fault in found["pieces"][0]["faults"]
+    assert judged(poses, TRUE_DEPTH, "contradicted")["outcome"] == "wrong, flagged"
+
+
+def test_a_sideways_path_of_a_straight_drive_is_wrong():
+    truth = smooth_path(0, (0, 0, 0.1), wobble=0.0)
+    sideways = smooth_path(0, (0.1, 0, 0), wobble=0.0)
+    (piece,) = judged(sideways, TRUE_DEPTH, truth=truth)["pieces"]
+    assert piece["faults"] == ("direction",)
+
+
+def test_wrong_depth_and_no_poses():
+    found = judged(POSES, TRUE_DEPTH**2)
+    assert found["pieces"][0]["faults"] == ("depth",)
+    assert found["green frames with wrong depth"] == len(POSES)
+    none = judged(np.full_like(POSES, np.nan), TRUE_DEPTH * np.nan, "no_texture")
+    assert none["outcome"] == "refused"
+
+
+def test_depth_of_a_camera_that_only_turns_is_invented():
+    turning = np.array([pose_matrix((0, 0, 0, 0, 0.02 * k, 0)) for k in range(16)])
+    assert judged(turning, TRUE_DEPTH, truth=turning)["pieces"][0]["faults"] == ("invented depth",)
+    orientations = judged(turning, TRUE_DEPTH * np.nan, "pure_rotation", truth=turning)
+    assert orientations["outcome"] == "right, flagged"
+
+
+def test_cases_have_their_own_names_and_scenes_one_half():
+    listed = cases.sequence_cases()
+    assert len({case.name for case in listed}) == len(listed) >= 60
+    assert {case.half for case in listed} == {"A", "B"}
+    for group in cases.by_scene(listed):
+        assert len({case.half for case in group}) == 1
+
+
+@pytest.mark.parametrize(
+    "kind", [*films.CHANGES_OF_WORLD, *films.CHANGES_OF_CAMERA, *films.CHANGES_OF_PICTURE, "cut"]
+)
+def test_every_disturbance_changes_the_frames(kind):
+    size, count = (24, 32), 4
+    strength = {"lens": -0.05, "traffic": 3, "truck": 3.0, "caption": 0, "pan": 0.02}.get(kind, 0.5)
+    changed = films.render_film(
+        "street 0", films.Disturbance(kind=kind, strength=strength), size, count
+    )
+    plain = films.render_film("street 0", films.Disturbance(), size, count)
+    assert changed.frames.shape == plain.frames.shape == changed.depth.shape
+    assert (changed.frames != plain.frames).mean() > 0.02
+
+
+def test_a_mirror_shows_the_room_behind_the_camera():
+    film = films.render_film("mirror hall 1", films.Disturbance(), (24, 32), 2)
+    is_mirror = np.isnan(film.depth[0])
+    assert 0.1 < is_mirror.mean() < 0.5
+    assert film.frames[0][is_mirror].std() > 10
+
+
+def test_the_report_lists_wrong_and_flagged_cases():
+    record = {
+        "name": "room", "task": "sequence", "half": "A", "clean": True, "flag due": False,
+        "statuses": {"converged": 2}, "messages": ["no parallax"],
+        "focal": 110.0, "true focal": 100.0,
+    }  # fmt: skip
+    errors = {"rotation": 3.0, "path": 0.1, "direction": None, "depth": 0.2}
+    piece = {"frames": 2, "faults": ["path"], "errors": errors, "check": {"excess": 0.3}}
+    wrong = record | {"outcome": "wrong, green", "pieces": [piece]}
+    refused = record | {"name": "hall", "outcome": "refused", "pieces": []}
+    text = report.report([wrong, refused], {}, [])
+    assert "- room: path" in text
+    assert "- hall: no parallax" in text
+    assert "| room | A | wrong, green | path | 2 converged |" in text
+
+
+def test_numbers_of_a_check():
+    pairs = [
+        {"first": 0, "second": 1, "excess": 0.1, "rank": None},
+        {"first": 1, "second": 2, "excess": 0.3, "rank": 0.5},
+    ]
+    check = SimpleNamespace(
+        as_json=lambda: {"pairs": pairs, "fixed_share": 0.25},
+        zoom=(0.001, 3.0),
+        objections=("excess",),
+        contradicts=False,
+    )
+    numbers = judge.check_numbers(check)
+    assert numbers["excess"] == pytest.approx(0.2) and numbers["rank"] == 0.5
+    assert numbers["fixed_share"] == 0.25 and numbers["objections"] == ["excess"]
