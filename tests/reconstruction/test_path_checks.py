@@ -61,9 +61,15 @@ def test_right_path_is_not_contradicted(tmp_path):
     assert not (tmp_path / FIXED_MASK).exists()
 
 
-def test_overlay_is_masked(tmp_path):
-    result = reconstructed(with_overlay(), folder=tmp_path)
-    assert set(result.status) == {"converged"}
+OBJECTS = tisfm.Settings.preset("fast", motion="objects")
+
+
+@pytest.mark.parametrize("options", [{}, {"settings": OBJECTS}, {"poses": True}])
+def test_overlay_is_masked(tmp_path, options):
+    if "poses" in options:
+        options = {"poses": film().poses}
+    result = reconstructed(with_overlay(), folder=tmp_path, **options)
+    assert set(result.status) == {"converged"} and not result.objects
     assert path_error(result.poses, film().poses) < 0.01
     mask = tisfm.Reconstruction.load(tmp_path).mask
     np.testing.assert_array_equal(mask, result.mask)

@@ -114,8 +114,7 @@ def reconstruct(
         tracks in the first frame of a piece.
     fixed_pixels : {"mask", "keep"}
         Pixels that show the same picture in all frames while the camera turns: a bonnet, a logo, a
-        caption, a border. They are found and masked (`Reconstruction.mask`), or kept. With given
-        poses, and with ``motion="objects"``, they are kept.
+        caption, a border. They are found and masked (`Reconstruction.mask`), or kept.
     step, start, stop, size, crop
         The selected frames and the used part of each, as for `tisfm.interpret_sequence`.
     bad_frames : {"raise", "skip"}

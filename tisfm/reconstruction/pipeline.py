@@ -86,7 +86,7 @@ class Job:
     @property
     def masks_fixed_pixels(self) -> bool:
         """Whether pixels that are fixed on the sensor are searched and masked."""
-        return self.fixed_pixels == "mask" and self.poses is None
+        return self.fixed_pixels == "mask"
 
     @property
     def has_objects(self) -> bool:
@@ -212,7 +212,7 @@ def solve_path(job: Job, reading: ReadingResult) -> PathResult:
     mask: np.ndarray | None = None
 
     def correct(path: CameraPath) -> None:
-        nonlocal full_camera
+        nonlocal full_camera, mask
         if path.focal is not None:
             full_camera = full_camera.with_focal(
                 full_camera.focal * path.camera.focal / frames.camera.focal
@@ -225,19 +225,26 @@ def solve_path(job: Job, reading: ReadingResult) -> PathResult:
                 full_camera, readout=reading.camera.full_readout(path.rolling.readout)
             )
         frames.correct(path.camera, path.rolling)
+        if mask is not None and not path.camera.is_pinhole:
+            lens = Undistortion(path.camera, *frames.shape)
+            mask = lens.apply_nearest(mask.astype(np.float32)) > 0
 
     def solve_static_path(calibrate: Calibrate | None) -> CameraPath:
         return _track_and_solve(job, reading, calibrate or job.calibrate)
 
     if reading.tracks is not None:
         path = _solve_or_take_path(job, reading, reading.tracks, job.calibrate)
-        if job.masks_fixed_pixels:
-            path, mask = _mask_fixed_pixels(job, reading, path)
+        if masked := _mask_fixed_pixels(job, reading):
+            path, mask = masked
         correct(path)
     else:
-        if reading.labels is None:
+        labels = reading.labels
+        if masked := _mask_fixed_pixels(job, reading):
+            mask = masked[1]
+            labels = labels and SequenceLabels.of_frames(frames)
+        if labels is None:
             _label_all_frames(job, reading)
-        path = find_static_path(frames, reading.labels, solve_static_path, correct)
+        path = find_static_path(frames, labels, solve_static_path, correct)
         refuse_unknown_ids(job.object_sizes, frames.object_ids())
     job.progress("path", len(reading.names), len(reading.names))
     return PathResult(path=path, camera=full_camera, fixed_pixels=mask)
@@ -257,26 +264,21 @@ def _track_and_solve(
     return _solve_or_take_path(job, reading, tracker.finish(), calibrate)
 
 
-def _mask_fixed_pixels(
-    job: Job, reading: ReadingResult, path: CameraPath
-) -> tuple[CameraPath, np.ndarray | None]:
-    """Mask pixels that are fixed on the sensor, and return the path without them, and the mask.
+def _mask_fixed_pixels(job: Job, reading: ReadingResult) -> tuple[CameraPath, np.ndarray] | None:
+    """Mask pixels that are fixed on the sensor; return the path without them, and the mask.
 
-    The mask, (H, W) bool, is None if there are hardly any such pixels, or if the path without them
-    shows no turn: they may be far points. Then the path stays as it is.
+    The mask is (H, W) bool. The result is None if there are hardly any such pixels, or if the path
+    without them shows no turn: then they may be far points.
     """
     frames = reading.frames
-    mask = find_fixed_pixels(frames)
+    mask = find_fixed_pixels(frames) if job.masks_fixed_pixels else None
     if mask is None:
-        return path, None
-    masked_path = _track_and_solve(job, reading, job.calibrate, mask)
-    if not camera_turns(masked_path.pieces, frames.camera):
-        return path, None
+        return None
+    path = _track_and_solve(job, reading, job.calibrate, mask)
+    if not camera_turns(path.pieces, frames.camera):
+        return None
     frames.ignore(mask)
-    camera = masked_path.camera
-    if not camera.is_pinhole:  # later stages see frames without distortion
-        mask = Undistortion(camera, *mask.shape).apply_nearest(mask.astype(np.float32)) > 0
-    return masked_path, mask
+    return path, mask
 
 
 def find_depth(job: Job, reading: ReadingResult, path: CameraPath) -> DepthResult:

@@ -36,6 +36,14 @@ class SequenceLabels:
         self._evidence = DiskCache(Evidence.to_arrays, Evidence.from_arrays)
         self._accumulated: Sequence[Evidence] = ()
 
+    @classmethod
+    def of_frames(cls, frames: PreparedFrames) -> "SequenceLabels":
+        """Return a search with all of the frames."""
+        search = cls(frames.camera)
+        for number in range(frames.count):
+            search.add(frames.tracker_input(number)[0])
+        return search
+
     def add(self, grey: np.ndarray) -> None:
         """Take the next frame, (H, W) uint8."""
         self._shape = grey.shape
@@ -156,9 +164,7 @@ def find_static_path(
     calibrate: Calibrate | None = None
     if search is not None and (path.rolling is not None or not path.camera.is_pinhole):
         set_camera(path)
-        search, calibrate = SequenceLabels(frames.camera), "nothing"
-        for number in range(frames.count):
-            search.add(frames.tracker_input(number)[0])
+        search, calibrate = SequenceLabels.of_frames(frames), "nothing"
         _set_labels(frames, search.labels())
         path = find_path(calibrate)
     if search is not None and _set_labels(
