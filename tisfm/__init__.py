@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from tisfm.camera import Camera
+    from tisfm.grade import Grade
     from tisfm.interpretation import Interpretation
     from tisfm.pair import interpret
     from tisfm.reconstruction.entry import reconstruct
     from tisfm.reconstruction.result.moving_object import MovingObject
+    from tisfm.reconstruction.result.path_check import PairEvidence, PathCheck
     from tisfm.reconstruction.result.reconstruction import Reconstruction
     from tisfm.reconstruction.streaming.entry import reconstruct_stream
     from tisfm.reconstruction.streaming.streamed_frame import StreamedFrame
@@ -25,8 +27,11 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Camera",
+    "Grade",
     "Interpretation",
     "MovingObject",
+    "PairEvidence",
+    "PathCheck",
     "Reconstruction",
     "Settings",
     "StreamedFrame",
@@ -39,8 +44,11 @@ __all__ = [
 
 _MODULE_BY_NAME = {
     "Camera": "tisfm.camera",
+    "Grade": "tisfm.grade",
     "Interpretation": "tisfm.interpretation",
     "MovingObject": "tisfm.reconstruction.result.moving_object",
+    "PairEvidence": "tisfm.reconstruction.result.path_check",
+    "PathCheck": "tisfm.reconstruction.result.path_check",
     "Reconstruction": "tisfm.reconstruction.result.reconstruction",
     "Settings": "tisfm.settings",
     "StreamedFrame": "tisfm.reconstruction.streaming.streamed_frame",

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.grade import Grade, depth_error, grade_depth
 from tisfm.point_cloud import MAX_MEDIAN_DEPTHS, PointCloud, point_cloud
 from tisfm.settings import Settings
 from tisfm.status import History, Status
@@ -107,6 +108,44 @@ class Interpretation:
         depth = np.full_like(self.inverse_depth, np.nan)
         np.divide(1, self.inverse_depth, out=depth, where=self.inverse_depth > 0)
         return depth
+
+    @cached_property
+    def depth_error(self) -> float:
+        """Expected relative error of the depth; NaN without depth, or with ``motion="field"``.
+
+        Half of the pixels that are visible in frame 1 should have a smaller error, apart from the
+        scale. It follows from the deviations, and is at most 1.
+        """
+        return self._depth_quality[0]
+
+    @cached_property
+    def depth_share(self) -> float:
+        """Share of the pixels whose depth is expected to be off by at most 10 %; 0 if unknown."""
+        return self._depth_quality[1]
+
+    @property
+    def grade(self) -> Grade:
+        """How far the depth can be trusted; ``"poor"`` for the depth of ``motion="field"``.
+
+        Examples
+        --------
+        >>> import tisfm
+        >>> from tisfm.scenes import static_scene
+        >>> scene = static_scene("sideways", 96, 128)
+        >>> settings = tisfm.Settings.preset("fast", motion="camera")
+        >>> frames = scene.frame0, scene.frame1
+        >>> result = tisfm.interpret(*frames, camera=scene.camera, settings=settings)
+        >>> result.grade.is_green, result.depth_error < 0.1
+        (True, True)
+        """
+        has_unrated_depth = self.inverse_depth_std is None and bool((self.inverse_depth > 0).any())
+        return grade_depth(self.status, 1.0 if has_unrated_depth else self.depth_error)
+
+    @cached_property
+    def _depth_quality(self) -> tuple[float, float]:
+        if self.inverse_depth_std is None:
+            return float("nan"), 0.0
+        return depth_error(self.inverse_depth, self.inverse_depth_std)
 
     def points(
         self,

@@ -82,6 +82,8 @@ def made(
         piece=piece,
         unit=(1.0,) * (int(piece.max()) + 1),
         status=(Status("converged", ""),) * count,
+        depth_error=np.where(np.isin(np.arange(count), list(with_depth)), 0.0067, np.nan),
+        depth_share=np.isin(np.arange(count), list(with_depth)).astype(float),
         keyframes=tuple(frame for frame in with_depth if piece[frame] >= 0),
         camera=camera,
         settings=tisfm.Settings.preset("fast", motion=motion),

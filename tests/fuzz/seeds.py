@@ -197,7 +197,7 @@ def reconstructions(motion="objects"):
     numbers = [field.name for field in fields(PairEvidence)]
     pair = PairEvidence(**dict.fromkeys(numbers, 1))
     about = {
-        "format": 3,
+        "format": 4,
         "version": "0",
         "camera": asdict(Camera(500.0)),
         "calibration": {"origin": "guessed", "focal_std": None},
@@ -205,6 +205,8 @@ def reconstructions(motion="objects"):
         "shape": [H, W],
         "names": [f"{k}" for k in range(FRAMES)],
         "status": [["converged", ""]] * FRAMES,
+        "depth_error": [0.02, None, *[0.2] * (FRAMES - 2)],
+        "depth_share": [1.0, 0.0, *[0.3] * (FRAMES - 2)],
         "notes": [],
         "keyframes": [0, 2],
         "skipped": [[7, "damaged"]],

@@ -19,6 +19,7 @@ from tisfm.camera_file import FILE_NAME as CAMERA
 from tisfm.camera_file import write_camera
 from tisfm.errors import InputError
 from tisfm.focal_guess import GuessedFocalWarning
+from tisfm.grade import add_focal_error, depth_error
 from tisfm.lens import Undistortion
 from tisfm.reconstruction.calibration.source_camera import SourceCamera
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
@@ -131,6 +132,10 @@ class DepthResult:
     piece: np.ndarray  # (N,) int32: the piece of each frame, −1 for none
     status: tuple[Status, ...]
     keyframes: tuple[int, ...]
+    # (N,) float64: expected relative error of the depth of each frame, NaN without depth, and the
+    # share of good pixels, as `tisfm.grade.depth_error` returns them
+    error: np.ndarray
+    share: np.ndarray
 
 
 def reconstruct_sequence(job: Job) -> Reconstruction:
@@ -290,10 +295,15 @@ def find_depth(job: Job, reading: ReadingResult, path: CameraPath) -> DepthResul
     for frame, reason in path.missing.items():
         status[frame] = reason
     keyframes: list[int] = []
+    errors, shares = np.full(count, np.nan), np.zeros(count)
     done = 0
     for number, piece in enumerate(path.pieces):
         piece = _adjust_poses(job, reading.frames, piece, path.observations)
-        kinds, unit = _piece_depth(job, reading.frames, piece, path.observations, done)
+        kinds, unit, piece_errors = _piece_depth(
+            job, reading.frames, piece, path.observations, done
+        )
+        for frame, (error, share) in piece_errors.items():
+            errors[frame], shares[frame] = error, share
         is_without_depth = job.depth_of == "keyframes" and not kinds
         done += len(piece.poses)
         keyframes += [frame for frame, kind in kinds.items() if kind == "keyframe"]
@@ -307,7 +317,12 @@ def find_depth(job: Job, reading: ReadingResult, path: CameraPath) -> DepthResul
             first = min(piece.poses)
             status[first] = add_piece_note(status[first])
     return DepthResult(
-        poses=poses, piece=pieces, status=tuple(status), keyframes=tuple(sorted(keyframes))
+        poses=poses,
+        piece=pieces,
+        status=tuple(status),
+        keyframes=tuple(sorted(keyframes)),
+        error=errors,
+        share=shares,
     )
 
 
@@ -351,6 +366,7 @@ def write_result(
     del about["shape"]  # the camera file already has the width and the height
     write_camera(job.folder / CAMERA, path_result.camera, reading.camera.shape, about=about)
     objects: tuple[MovingObject, ...] = ()
+    errors, shares = depth.error.copy(), depth.share.copy()
     if job.has_objects:
         from tisfm.reconstruction.objects.object_depth import objects_with_depth
 
@@ -363,11 +379,20 @@ def write_result(
             with_depth=job.depth_of != "none",
             sizes=job.object_sizes,
         )
+        for frame in {frame for obj in objects for frame in obj.frames}:
+            if not np.isnan(errors[frame]):  # objects changed its depth
+                depth_of_frame = read_depth(job.folder, frame, reading.frames.shape)
+                errors[frame], shares[frame] = depth_error(*depth_of_frame)
+    errors = add_focal_error(errors, calibration.relative_focal_std)
     result = Reconstruction(
         poses=depth.poses,
         piece=depth.piece,
         unit=(1.0,) * len(path_result.path.pieces),
-        status=mark_contradicted(depth.status, depth.piece.tolist(), checks),
+        status=mark_uncertain(
+            mark_contradicted(depth.status, depth.piece.tolist(), checks), errors
+        ),
+        depth_error=errors,
+        depth_share=shares,
         checks=checks,
         keyframes=depth.keyframes,
         camera=reading.frames.camera,
@@ -462,13 +487,14 @@ def _adjust_poses(
 
 def _piece_depth(
     job: Job, frames: PreparedFrames, piece: Piece, observations: Sequence[Observations], done: int
-) -> tuple[dict[int, str], float]:
-    """Write the depth of a piece's frames; return the kind of each frame, and the unit.
+) -> tuple[dict[int, str], float, dict[int, tuple[float, float]]]:
+    """Write the depth of a piece's frames.
 
-    The kind is "keyframe" or "between". `done` is the number of frames of earlier pieces.
+    Returns the kind of each frame, "keyframe" or "between"; the unit; and `depth_error` of each
+    frame. `done` is the number of frames of earlier pieces.
     """
     if job.depth_of == "none":
-        return {}, median_track_depth(piece, observations)
+        return {}, median_track_depth(piece, observations), {}
     from tisfm.reconstruction.depth.segment_depth import PieceDepths, depth_effort, median_depth
 
     depths = PieceDepths(
@@ -480,16 +506,18 @@ def _piece_depth(
         written_until=max(piece.poses) if job.depth_of == "keyframes" else -1,
     )
     kinds: dict[int, str] = {}
+    errors: dict[int, tuple[float, float]] = {}
     unit = 1.0
     for depth in depths:
         if not kinds and job.poses is None:
             unit = median_depth(depth.inverse_depth)
         write_depth(job.folder, depth.frame, depth.inverse_depth * unit, depth.deviation * unit)
+        errors[depth.frame] = depth_error(depth.inverse_depth, depth.deviation)
         kinds[depth.frame] = "keyframe" if depth.frame in depths.keyframes else "between"
         job.progress("depth", done + len(kinds), len(observations))
     if not kinds and job.poses is None:
         unit = median_track_depth(piece, observations)
-    return kinds, unit
+    return kinds, unit, errors
 
 
 def median_track_depth(piece: Piece, observations: Sequence[Observations]) -> float:

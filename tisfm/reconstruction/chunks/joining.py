@@ -234,6 +234,8 @@ def write_joined_result(
         piece=np.array([placement.piece for placement in placements], np.int32),
         unit=(1.0,) * (max(placement.piece for placement in placements) + 1),
         status=tuple(_statuses(results, placements, missing)),
+        depth_error=_of_frames("depth_error", results, placements),
+        depth_share=_of_frames("depth_share", results, placements),
         keyframes=tuple(
             frame
             for frame, (part_result, placement) in enumerate(zip(results, placements, strict=True))
@@ -274,6 +276,18 @@ def _statuses(
             status = add_piece_note(status)
         statuses.append(status)
     return statuses
+
+
+def _of_frames(
+    name: str, results: Sequence[Reconstruction], placements: Sequence[ChunkPlacement]
+) -> np.ndarray:
+    """Return the values of a field of each frame, (N,)."""
+    return np.array(
+        [
+            getattr(result, name)[placement.number]
+            for result, placement in zip(results, placements, strict=True)
+        ]
+    )
 
 
 def _picture(folder: Path, number: int) -> Path:

@@ -58,6 +58,13 @@ class Calibration:
         if self.shape is not None and (len(self.shape) != 2 or min(self.shape) < 1):
             raise InputError(f"shape is {self.shape}: expected two positive numbers of px")
 
+    @property
+    def relative_focal_std(self) -> float:
+        """Standard deviation of the focal length over the focal length; infinite for a guess."""
+        if math.isinf(self.focal_std) or self.origin == "guessed":
+            return math.inf
+        return self.focal_std / self.focal if self.focal else 0.0
+
 
 GIVEN = Calibration(origin="given")
 

@@ -34,7 +34,7 @@ from tisfm.settings import Settings
 from tisfm.status import Status
 from tisfm.trajectory.poses import check_poses
 
-FORMAT = 3  # version of the format of the record
+FORMAT = 4  # version of the format of the record
 OBJECTS_FORMAT = 1  # version of the format of the file of moving objects
 RECORD = "reconstruction.json"
 MARKER = "reconstruction.begun"
@@ -210,6 +210,11 @@ def write_record(folder: Path, result: Any) -> None:
         "shape": list(result.shape),
         "names": list(result.names),
         "status": [[str(status), status.message] for status in result.status],
+        "grade": [str(grade) for grade in result.grades],  # for other programs
+        "depth_error": [
+            None if np.isnan(error) else error for error in result.depth_error.tolist()
+        ],
+        "depth_share": result.depth_share.tolist(),
         "keyframes": list(result.keyframes),
         "skipped": [list(item) for item in result.skipped],
         "notes": list(result.notes),
@@ -263,6 +268,8 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
             poses=check_poses(poses),
             piece=piece.astype(np.int32),
             unit=tuple(map(float, unit)),
+            depth_error=_read_shares(record, "depth_error", count),
+            depth_share=_read_shares(record, "depth_share", count),
             times=tuple(None if np.isnan(time) else float(time) for time in times),
             status=tuple(Status(code, message) for code, message in record["status"]),
             keyframes=tuple(int(k) for k in record["keyframes"]),
@@ -283,6 +290,16 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
             objects=_read_objects(path, settings, count),
             checks=tuple(PathCheck.from_json(check) for check in record["checks"]),
         )
+
+
+def _read_shares(record: dict[str, Any], name: str, count: int) -> np.ndarray:
+    """Return numbers of a record from 0 to 1, one a frame, (N,) float64; NaN for null."""
+    values = np.array([np.nan if x is None else float(x) for x in record[name]], np.float64)
+    if values.shape != (count,):
+        raise InputError(f"{name} has {len(values)} numbers for {count} frames")
+    if not (np.isnan(values) | ((values >= 0) & (values <= 1))).all():
+        raise InputError(f"{name} has a number that is not from 0 to 1")
+    return values
 
 
 @contextmanager

@@ -33,23 +33,62 @@ LIMITS = Limits()
 
 @dataclass(frozen=True, kw_only=True)
 class PairEvidence:
-    """Evidence of one pair. For a right path, ratios and `rank` are near 1, the rest is small."""
+    """Evidence of one pair of frames: the motion of a path, compared with a free motion.
+
+    The free motion is the motion of the camera that fits the image motion of the pair best. For a
+    right path, ratios and `rank` are near 1, and the rest is small.
+
+    Attributes
+    ----------
+    first, second : int
+        Numbers of the two frames.
+    excess : float
+        Share of the pixels that lie off the epipolar lines of the path, less the share that lies
+        off the lines of the free motion.
+    residual_ratio : float
+        Residual of the path over that of the free motion.
+    direction : float
+        Angle between the translations of the two motions, degrees.
+    direction_deviation : float
+        Standard deviation of the direction of the free motion, degrees.
+    rotation : float
+        Angle between the rotations of the two motions, degrees.
+    behind : float
+        Share of the pixels that the motion of the path places behind the camera.
+    rank : float or None
+        Rank correlation of the depth of the first frame with that of the free motion; None without
+        depth.
+    zoom : float
+        Logarithm of the zoom between the frames that fits best.
+    zoom_deviation : float
+        Standard deviation of `zoom`.
+    zoom_gain : float
+        Residual of the free motion over that of a free motion with zoom.
+    parallax : float
+        Median image motion beyond that of the rotation, as a share of the longer side.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> result = tisfm.Reconstruction.load("walk")
+    >>> pair = result.checks[0].pairs[0]
+    >>> pair.excess < 0.05, pair.residual_ratio < 1.6
+    (True, True)
+    """
 
     first: int
     second: int
-    # share of the rays that lie off the path's epipolar lines, less that off the free motion's
     excess: float
-    residual_ratio: float  # residual of the path over that of the free motion
-    direction: float  # degrees between the translations of the path and of the free motion
-    direction_deviation: float  # degrees: standard deviation of the free direction
-    rotation: float  # degrees between the two rotations
-    behind: float  # share of the rays that meet behind the camera with the path's motion
-    # rank correlation of the first frame's depth with that of the free motion; None without depth
+    residual_ratio: float
+    direction: float
+    direction_deviation: float
+    rotation: float
+    behind: float
     rank: float | None
-    zoom: float  # logarithm of the zoom between the frames
+    zoom: float
     zoom_deviation: float
-    zoom_gain: float  # residual of the free motion over that with a zoom
-    parallax: float  # median motion beyond the free rotation, longer sides
+    zoom_gain: float
+    parallax: float
 
     @classmethod
     def from_json(cls, record: dict[str, Any]) -> "PairEvidence":

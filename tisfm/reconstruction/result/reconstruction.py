@@ -11,6 +11,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.errors import InputError, OutOfRangeError
+from tisfm.grade import Grade, grade_depth
 from tisfm.point_cloud import PointCloud
 from tisfm.reconstruction.result.calibration import GIVEN, Calibration
 from tisfm.reconstruction.result.folder import (
@@ -47,7 +48,15 @@ class Reconstruction:
         For every piece, the factor from depth on disk to depth; 1 unless the piece was rescaled.
     status : tuple of Status
         For every frame, with a message: ``"converged"`` if it has a pose, and depth if depth was
-        requested; ``"contradicted"`` if it has both, and the image motion contradicts them.
+        requested; ``"uncertain"`` if its depth is expected to be off by more than 10 %;
+        ``"contradicted"`` if it has a pose, and the image motion contradicts the path.
+    depth_error : (N,) float64
+        Expected relative error of the depth of each frame: half of the pixels should have a smaller
+        error, apart from the unit of the piece. It follows from the deviations of depth and of the
+        focal length, and is at most 1. NaN without depth.
+    depth_share : (N,) float64
+        Share of the pixels of each frame whose depth is expected to be off by at most 10 %,
+        masked pixels left out; 0 without depth. It does not include errors of the focal length.
     keyframes : tuple of int
         Frames whose depth was estimated from neighbour frames. The depth of all other frames is
         rendered from the keyframes; holes are filled up to image edges.
@@ -98,6 +107,8 @@ class Reconstruction:
     piece: np.ndarray = field(repr=False)
     unit: tuple[float, ...] = field(repr=False)
     status: tuple[Status, ...] = field(repr=False)
+    depth_error: np.ndarray = field(repr=False)
+    depth_share: np.ndarray = field(repr=False)
     keyframes: tuple[int, ...]
     camera: Camera
     calibration: Calibration = field(repr=False, default=GIVEN)
@@ -122,6 +133,31 @@ class Reconstruction:
         """The piece with the most frames; 0 without pieces."""
         valid_pieces = self.piece[self.piece >= 0]
         return int(np.bincount(valid_pieces).argmax()) if len(valid_pieces) else 0
+
+    def grade(self, frame: int) -> Grade:
+        """Return the grade of a frame: how far its pose and depth can be trusted.
+
+        Raises
+        ------
+        IndexError
+            If there is no such frame.
+
+        Examples
+        --------
+        >>> import tisfm
+        >>> result = tisfm.Reconstruction.load("walk")
+        >>> result.grade(0).is_green  # good or fair: depth is expected to be off by at most 10 %
+        True
+        """
+        number = self._number(frame)
+        if self.piece[number] < 0:
+            return Grade.NO_POSE
+        return grade_depth(self.status[number], float(self.depth_error[number]))
+
+    @property
+    def grades(self) -> tuple[Grade, ...]:
+        """The grade of each frame."""
+        return tuple(self.grade(frame) for frame in range(len(self)))
 
     def inverse_depth(self, frame: int) -> np.ndarray:
         """Return the inverse depth of a frame, (H, W) float32, 1/unit of the poses.

@@ -1,0 +1,85 @@
+"""Grades say how far depth is expected to be off."""
+
+import numpy as np
+import pytest
+
+import tisfm
+from tisfm.grade import GRADES, add_focal_error, depth_error, grade_depth
+from tisfm.status import Status
+
+SHAPE = (20, 30)
+
+
+def errors_of(share_of_deviation, deviation):
+    """Return the error and the share of a map whose first rows have a relative deviation."""
+    inverse_depth = np.full(SHAPE, 0.5, np.float32)
+    relative = np.full(SHAPE, np.inf, np.float32)
+    relative[: round(share_of_deviation * SHAPE[0])] = deviation
+    inverse_depth[np.isinf(relative)] = np.nan
+    return depth_error(inverse_depth, relative * inverse_depth)
+
+
+def test_error_is_the_median_error_of_a_normal_distribution():
+    random = np.random.default_rng(0)
+    truth = random.uniform(0.2, 2.0, (150, 200))
+    relative = random.uniform(0.01, 0.05, truth.shape)
+    found = truth * (1 + relative * random.normal(size=truth.shape))
+    expected, share = depth_error(found, relative * found)
+    assert expected == pytest.approx(np.median(np.abs(found - truth) / truth), rel=0.2)
+    assert share == 1
+
+
+@pytest.mark.parametrize(
+    ("share", "deviation", "error"), [(1, 0.1, 0.06745), (0.6, 0.1, 0.06745), (0.4, 0.1, 1)]
+)
+def test_a_pixel_without_depth_has_an_infinite_deviation(share, deviation, error):
+    found, good = errors_of(share, deviation)
+    assert found == pytest.approx(error) and good == pytest.approx(share)
+
+
+def test_filled_pixels_do_not_count():
+    inverse_depth = np.full(SHAPE, 0.5)
+    deviation = np.full(SHAPE, np.inf)
+    deviation[:4] = 0.01
+    assert depth_error(inverse_depth, deviation) == pytest.approx((0.02 * 0.6745, 1))
+    assert depth_error(inverse_depth, np.full(SHAPE, np.inf)) == (1, 0)
+
+
+def test_no_depth_has_no_error():
+    error, share = depth_error(np.full(SHAPE, np.nan), np.full(SHAPE, np.inf))
+    assert np.isnan(error) and share == 0
+
+
+def test_an_uncertain_focal_length_adds_an_error():
+    errors = np.array([0.0, 0.02, np.nan])
+    np.testing.assert_array_equal(add_focal_error(errors, 0.0), errors)
+    guessed = add_focal_error(errors, np.inf)
+    assert (guessed[:2] > GRADES.max_fair).all() and np.isnan(guessed[2])
+    assert add_focal_error(errors, 0.04)[0] == pytest.approx(0.04 * GRADES.focal_effect)
+
+
+@pytest.mark.parametrize(
+    ("status", "error", "word"),
+    [
+        ("converged", 0.01, "good"),
+        ("converged", 0.03, "good"),
+        ("converged", 0.031, "fair"),
+        ("iteration_limit", 0.1, "fair"),
+        ("converged", 0.11, "poor"),
+        ("converged", np.nan, "no depth"),
+        ("uncertain", 0.01, "poor"),
+        ("status_of_another_version", 0.01, "poor"),
+        ("little_parallax", np.nan, "no depth"),
+        ("contradicted", 0.01, "contradicted"),
+        ("behind_camera", 0.01, "contradicted"),
+    ],
+)
+def test_words(status, error, word):
+    grade = grade_depth(Status(status), error)
+    assert grade == word and str(grade) == word
+    assert grade.is_green == (word in ("good", "fair"))
+
+
+def test_order_of_grades():
+    words = [str(grade) for grade in sorted(tisfm.Grade, key=lambda grade: grade.rank)]
+    assert words == ["good", "fair", "poor", "no depth", "no pose", "contradicted"]

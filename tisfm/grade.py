@@ -1,0 +1,122 @@
+"""The grade of a result: how far its depth is expected to be off, in a plain word."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from tisfm.status import Status
+
+
+@dataclass(frozen=True, kw_only=True)
+class GradeSettings:
+    """Limits of the grades, and what the expected error of depth consists of."""
+
+    max_good: float = 0.03  # expected relative error of depth; set by hand
+    max_fair: float = 0.10  # expected relative error of depth; set by hand
+    # median error over standard deviation: of the normal distribution
+    median_ratio: float = 0.6745
+    # relative error of depth over relative error of a focal length; an experiment had 0 to 0.3
+    focal_effect: float = 0.25
+    # relative deviation of a guessed focal length: cameras have 0.5 to 2 longer sides
+    guessed_focal_deviation: float = 0.5
+    max_error: float = 1.0  # an error of the whole depth or more is stored as this number
+    max_pixels: int = 40000  # pixels of a frame that are used; for speed
+
+
+GRADES = GradeSettings()
+
+# Statuses that say that pose or depth are wrong.
+_WRONG = ("contradicted", "diverged", "pose_mismatch", "behind_camera", "unexplained", "unrelated")
+# Statuses that do not say that depth is doubtful.
+_RIGHT = ("converged", "iteration_limit")
+
+
+class Grade(str, Enum):
+    """How far the depth of a frame or a pair can be trusted, in a plain word.
+
+    - ``"good"``: half of the depth is expected to be off by at most 3 %.
+    - ``"fair"``: by at most 10 %.
+    - ``"poor"``: by more, or by an unknown amount; or the status says that depth is rough.
+    - ``"no depth"``: a frame of a sequence has a pose; depth is unknown, or was not requested.
+    - ``"no pose"``: a frame of a sequence has neither pose nor depth.
+    - ``"contradicted"``: the images contradict the pose or the depth, as the status says.
+
+    The order of the list is from the best to the worst. A grade compares equal to its word.
+
+    Examples
+    --------
+    >>> import tisfm
+    >>> result = tisfm.Reconstruction.load("walk")
+    >>> str(result.grade(0)), result.grade(0).is_green
+    ('fair', True)
+    """
+
+    GOOD = "good"
+    FAIR = "fair"
+    POOR = "poor"
+    NO_DEPTH = "no depth"
+    NO_POSE = "no pose"
+    CONTRADICTED = "contradicted"
+
+    def __str__(self) -> str:
+        """Return the word."""
+        return self.value
+
+    @property
+    def is_green(self) -> bool:
+        """Whether pose and depth can be trusted: good or fair."""
+        return self in (Grade.GOOD, Grade.FAIR)
+
+    @property
+    def rank(self) -> int:
+        """Place in the order from the best, 0, to the worst."""
+        return list(Grade).index(self)
+
+
+def depth_error(
+    inverse_depth: np.ndarray,  # (H, W)
+    # (H, W): standard deviation; infinite for a pixel that has no depth, or whose depth is filled
+    deviation: np.ndarray,
+) -> tuple[float, float]:
+    """Return the expected relative error of the depth of a frame, and the share of good pixels.
+
+    The expected error is the median over pixels of the relative deviation, as a median error. It
+    is at most 1, and NaN without depth. The share is that of pixels whose expected error is at
+    most 10 %. A pixel without depth has an infinite deviation. Pixels whose depth is filled from
+    their surroundings do not count.
+    """
+    step = 1 + int(np.sqrt(inverse_depth.size / GRADES.max_pixels))
+    inverse_depth, deviation = inverse_depth[::step, ::step], deviation[::step, ::step]
+    has_depth = np.isfinite(inverse_depth) & (inverse_depth > 0)
+    if not has_depth.any():
+        return float("nan"), 0.0
+    has_deviation = has_depth & np.isfinite(deviation)
+    relative = np.full(inverse_depth.shape, np.inf)
+    np.divide(deviation, inverse_depth, out=relative, where=has_deviation)
+    expected = GRADES.median_ratio * relative[has_deviation | ~has_depth]
+    if not has_deviation.any():
+        return GRADES.max_error, 0.0
+    middle = float(np.partition(expected, expected.size // 2)[expected.size // 2])
+    return min(middle, GRADES.max_error), float((expected <= GRADES.max_fair).mean())
+
+
+def grade_depth(status: Status, error: float) -> Grade:
+    """Return the grade of a depth, from its status and its expected relative error."""
+    if status in _WRONG:
+        return Grade.CONTRADICTED
+    if np.isnan(error):
+        return Grade.NO_DEPTH
+    if status not in _RIGHT or error > GRADES.max_fair:
+        return Grade.POOR
+    return Grade.GOOD if error <= GRADES.max_good else Grade.FAIR
+
+
+def add_focal_error(
+    errors: np.ndarray,  # (N,): expected relative errors of depth, NaN without depth
+    focal_deviation: float,  # relative standard deviation of the focal length; infinite for a guess
+) -> np.ndarray:
+    """Return the expected errors with what an uncertain focal length adds, (N,) float64."""
+    deviation = min(focal_deviation, GRADES.guessed_focal_deviation)
+    focal_error = GRADES.focal_effect * deviation
+    return np.minimum(np.hypot(errors, focal_error), GRADES.max_error)
