@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tisfm
-from tisfm.grade import GRADES, add_focal_error, depth_error, grade_depth
+from tisfm.grade import GRADES, GradeSummary, add_focal_error, depth_error, grade_depth
 from tisfm.status import Status
 
 SHAPE = (20, 30)
@@ -83,3 +83,14 @@ def test_words(status, error, word):
 def test_order_of_grades():
     words = [str(grade) for grade in sorted(tisfm.Grade, key=lambda grade: grade.rank)]
     assert words == ["good", "fair", "poor", "no depth", "no pose", "contradicted"]
+
+
+def test_summary_of_grades():
+    grades = [tisfm.Grade.FAIR, tisfm.Grade.GOOD, tisfm.Grade.FAIR, tisfm.Grade.NO_POSE]
+    summary = GradeSummary.of(grades, [0.05, 0.02, 0.07, np.nan])
+    assert (summary.median, summary.worst) == ("fair", "no pose")
+    assert summary.text == (
+        "fair, worst no pose; depth is expected to be off by 5 % (median), 7 % (worst)"
+    )
+    assert summary.counts_text == "1 good, 2 fair, 1 no pose"
+    assert GradeSummary.of(grades[3:], [np.nan]).text == "no pose"

@@ -1,5 +1,7 @@
 """The grade of a result: how far its depth is expected to be off, in a plain word."""
 
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -120,3 +122,54 @@ def add_focal_error(
     deviation = min(focal_deviation, GRADES.guessed_focal_deviation)
     focal_error = GRADES.focal_effect * deviation
     return np.minimum(np.hypot(errors, focal_error), GRADES.max_error)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GradeSummary:
+    """The grades of a result, the median and the worst."""
+
+    counts: Mapping[Grade, int]  # by grade, the best first; only grades that occur
+    median: Grade
+    worst: Grade
+    # expected relative errors of depth, over the frames with depth; NaN without depth
+    median_error: float
+    worst_error: float
+
+    @classmethod
+    def of(cls, grades: Sequence[Grade], errors: Sequence[float]) -> "GradeSummary":
+        """Return the summary of grades and expected errors, one for each frame; at least one."""
+        ordered = sorted(grades, key=lambda grade: grade.rank)
+        known_errors = [error for error in errors if not np.isnan(error)]
+        return cls(
+            counts=Counter(ordered),
+            median=ordered[len(ordered) // 2],
+            worst=ordered[-1],
+            median_error=float(np.median(known_errors)) if known_errors else float("nan"),
+            worst_error=max(known_errors, default=float("nan")),
+        )
+
+    @property
+    def text(self) -> str:
+        """The median and the worst grade, and the expected errors, in words."""
+        text = f"{self.median}" + (f", worst {self.worst}" if self.worst != self.median else "")
+        return f"{text}{self.error_text}"
+
+    @property
+    def error_text(self) -> str:
+        """The expected errors in words; "" without depth."""
+        if np.isnan(self.median_error):
+            return ""
+        return (
+            f"; depth is expected to be off by {percent(self.median_error)} (median), "
+            f"{percent(self.worst_error)} (worst)"
+        )
+
+    @property
+    def counts_text(self) -> str:
+        """The number of frames of each grade, the best first, in words."""
+        return ", ".join(f"{count} {grade}" for grade, count in self.counts.items())
+
+
+def percent(share: float) -> str:
+    """Return a share in percent, with two significant digits below 10 %."""
+    return f"{100 * share:.2g} %" if share < 0.0995 else f"{100 * share:.0f} %"

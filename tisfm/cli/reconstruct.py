@@ -29,6 +29,7 @@ from tisfm.reconstruction.chunks.runs import ChunksRun, ReconstructRun, WholeRun
 from tisfm.reconstruction.progress import DepthOf, FixedPixels, Stage, StopReading
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.reconstruction import Reconstruction
+from tisfm.reconstruction.result.summary import describe_pieces
 from tisfm.report import check_report
 from tisfm.running.pairs import FrameSelection
 from tisfm.running.pool import check_workers
@@ -380,12 +381,9 @@ def _tell(result: Reconstruction, output: Path) -> None:
     count = len(result)
     posed_count = int((result.piece >= 0).sum())
     sizes = np.bincount(result.piece[result.piece >= 0])
-    pieces = f"{len(sizes)} piece{'s' * (len(sizes) != 1)}"
-    if len(sizes) > 1:
-        pieces += f" ({', '.join(map(str, sizes))} frames, each with its own scale)"
     tell(
-        f"{posed_count} of {count} frames have a pose, in {pieces}; {len(result.keyframes)} "
-        f"keyframes. Results in {output}."
+        f"{posed_count} of {count} frames have a pose, in {describe_pieces(sizes)}; "
+        f"{len(result.keyframes)} keyframes. Results in {output}."
     )
     for moving_object in result.objects:
         pose_count = int(np.isfinite(moving_object.poses[:, 0, 0]).sum())

@@ -47,7 +47,12 @@ from tisfm.reconstruction.result.folder import (
 from tisfm.reconstruction.result.moving_object import MovingObject, refuse_unknown_ids
 from tisfm.reconstruction.result.path_check import PathCheck
 from tisfm.reconstruction.result.reconstruction import Reconstruction
-from tisfm.reconstruction.result.statuses import NO_PARALLAX, add_piece_note, mark_contradicted
+from tisfm.reconstruction.result.statuses import (
+    NO_PARALLAX,
+    add_piece_note,
+    mark_contradicted,
+    mark_uncertain,
+)
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracker, SequenceTracks
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.triangulation import track_depths

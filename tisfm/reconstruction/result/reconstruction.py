@@ -11,7 +11,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.errors import InputError, OutOfRangeError
-from tisfm.grade import Grade, grade_depth
+from tisfm.grade import Grade, GradeSummary, grade_depth
 from tisfm.point_cloud import PointCloud
 from tisfm.reconstruction.result.calibration import GIVEN, Calibration
 from tisfm.reconstruction.result.folder import (
@@ -24,6 +24,7 @@ from tisfm.reconstruction.result.folder import (
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.reconstruction.result.path_check import PathCheck
 from tisfm.reconstruction.result.renewal import TemporaryFolder, copy_folder
+from tisfm.reconstruction.result.summary import summarise, summarise_grades
 from tisfm.settings import Settings
 from tisfm.status import Status
 
@@ -158,6 +159,35 @@ class Reconstruction:
     def grades(self) -> tuple[Grade, ...]:
         """The grade of each frame."""
         return tuple(self.grade(frame) for frame in range(len(self)))
+
+    @property
+    def median_grade(self) -> Grade:
+        """The grade in the middle, in the order from the best to the worst.
+
+        Frames whose depth was not requested do not count.
+        """
+        return self._grades.median
+
+    @property
+    def worst_grade(self) -> Grade:
+        """The worst grade. Frames whose depth was not requested do not count."""
+        return self._grades.worst
+
+    def summary(self) -> str:
+        """Return one paragraph: poses, pieces, focal length, grades, contradictions and advice.
+
+        Examples
+        --------
+        >>> import tisfm
+        >>> result = tisfm.Reconstruction.load("walk")
+        >>> result.summary()[:42]
+        '9 of 9 frames have a pose, in 1 piece. The'
+        """
+        return summarise(self.piece, self.status, self._grades, self.camera, self.calibration)
+
+    @property
+    def _grades(self) -> GradeSummary:
+        return summarise_grades(self.grades, self.status, self.depth_error.tolist())
 
     def inverse_depth(self, frame: int) -> np.ndarray:
         """Return the inverse depth of a frame, (H, W) float32, 1/unit of the poses.

@@ -2,6 +2,9 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from tisfm.grade import GRADES, percent
 from tisfm.reconstruction.result.path_check import PathCheck
 from tisfm.status import Status
 
@@ -10,6 +13,10 @@ NEW_PIECE_NOTE = (
 )
 NO_PARALLAX = Status(
     "little_parallax", "no nearby frame shows enough parallax for depth; its pose is known"
+)
+ROUGH_DEPTH = (
+    "the depth of the frame is expected to be off by {error}: its deviations are large, or the "
+    "focal length is uncertain; give frames with more motion between them, or the focal length"
 )
 
 
@@ -35,6 +42,21 @@ def mark_contradicted(
         if piece >= 0 and checks[piece].contradicts:
             is_new_piece = NEW_PIECE_NOTE in status.message
             status = Status("contradicted", checks[piece].message)
+            status = add_piece_note(status) if is_new_piece else status
+        marked.append(status)
+    return tuple(marked)
+
+
+def mark_uncertain(
+    statuses: Sequence[Status],
+    errors: np.ndarray,  # (N,): expected relative errors of depth, NaN without depth
+) -> tuple[Status, ...]:
+    """Return the statuses of frames: frames whose depth is expected to be rough are uncertain."""
+    marked = []
+    for status, error in zip(statuses, errors.tolist(), strict=True):
+        if status == "converged" and error > GRADES.max_fair:
+            is_new_piece = NEW_PIECE_NOTE in status.message
+            status = Status("uncertain", ROUGH_DEPTH.format(error=percent(error)))
             status = add_piece_note(status) if is_new_piece else status
         marked.append(status)
     return tuple(marked)

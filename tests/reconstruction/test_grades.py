@@ -1,0 +1,67 @@
+"""Grades of a reconstruction: of frames with good and with rough depth, kept in the record."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import tisfm
+from tests.exports.made import made
+from tisfm.formats import FormatError
+from tisfm.grade import GRADES
+from tisfm.reconstruction.result.calibration import Calibration
+from tisfm.reconstruction.result.folder import RECORD
+from tisfm.reconstruction.result.statuses import add_piece_note, mark_uncertain
+from tisfm.status import Status
+
+
+def test_grades_of_frames(tmp_path):
+    result = made(tmp_path / "made", count=5, piece=[0, 0, 0, -1, 0], with_depth=[0, 1, 4])
+    status = list(result.status)
+    status[3], status[4] = Status("no_texture"), Status("contradicted", "turn around")
+    errors = np.array([0.01, 0.2, np.nan, np.nan, 0.01])
+    graded = replace(result, status=tuple(status), depth_error=errors)
+    words = ["good", "poor", "no depth", "no pose", "contradicted"]
+    assert [str(grade) for grade in graded.grades] == words
+    assert graded.grade(1) == "poor" and not graded.grade(1).is_green
+    # The depth of frame 2 was not requested.
+    assert (graded.median_grade, graded.worst_grade) == ("no pose", "contradicted")
+    summary = graded.summary()
+    assert "4 of 5 frames have a pose, in 1 piece." in summary
+    assert "worst contradicted" in summary and "turn around" in summary
+    assert "(median), 20 % (worst)" in summary
+    with pytest.raises(IndexError):
+        graded.grade(5)
+    graded.save(tmp_path / "saved")
+    again = tisfm.Reconstruction.load(tmp_path / "saved")
+    np.testing.assert_array_equal(again.depth_error, errors)
+    np.testing.assert_array_equal(again.depth_share, graded.depth_share)
+    assert json.loads((tmp_path / "saved" / RECORD).read_text())["grade"] == words
+    assert again.rescaled(0, 1, 3.0).grades == again.grades
+
+
+@pytest.mark.parametrize("values", [[0.1], [0.1, 2.0], [0.1, -1.0], [0.1, "x"]])
+def test_damaged_errors_are_refused(tmp_path, values):
+    made(tmp_path / "made", count=2)
+    file = tmp_path / "made" / RECORD
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"depth_error": values}))
+    with pytest.raises(FormatError, match="reconstruction"):
+        tisfm.Reconstruction.load(tmp_path / "made")
+
+
+def test_rough_depth_is_uncertain():
+    right = Status("converged")
+    statuses = [right, right, add_piece_note(right), Status("contradicted")]
+    found = mark_uncertain(statuses, np.array([GRADES.max_fair, 0.49, 0.2, 0.3]))
+    assert [str(status) for status in found] == [
+        "converged", "uncertain", "uncertain", "contradicted",
+    ]  # fmt: skip
+    assert "49 %" in found[1].message and "new piece" in found[2].message
+
+
+def test_deviation_of_the_focal_length():
+    given, guessed = Calibration(origin="given", focal=100.0), Calibration(origin="guessed")
+    assert given.relative_focal_std == 0 and guessed.relative_focal_std == np.inf
+    estimated = Calibration(origin="estimated", focal=200.0, focal_std=3.0)
+    assert estimated.relative_focal_std == pytest.approx(0.015)
