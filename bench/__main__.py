@@ -131,7 +131,7 @@ def run_smoke_contests() -> bool:
     commands = (
         ["bench.peers"],
         ["bench.ablation", "--preset", "fast", "--only", "warp"],
-        ["bench.trust", "--jobs", "1", "--again"],
+        ["bench.trust", "--jobs", "1"],
     )
     return all(
         subprocess.run(

@@ -15,6 +15,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +24,12 @@ from bench.shared.peer_process import THREAD_VARIABLES
 from bench.shared.results import RESULTS, ROOT, machine, wide_console, write_results
 from bench.shared.sequences import data_folder
 from bench.shared.worker import Worker, WorkerDied
-from bench.trust.cases import Case, by_scene, sequence_cases, smoke_cases
+from bench.trust.cases import Case, all_cases, by_scene, smoke_cases
 from bench.trust.report import count_table, is_false_alarm, is_missed, report
 
-CODE = ("tisfm", "bench/trust")  # folders whose code decides the results
+# Code that does not decide the results: folders of tisfm, and modules of this bench.
+UNRELATED = ("cli", "doctor", "evaluation", "exports", "report", "running", "show", "view")
+UNRELATED_MODULES = ("__init__.py", "__main__.py", "cases.py", "report.py")
 TIMEOUT = 300.0  # s for a case
 
 
@@ -43,16 +46,22 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 def code_digest() -> str:
     """Return a digest of the code that decides the results."""
     digest = hashlib.sha256()
-    for folder in CODE:
-        for path in sorted((ROOT / folder).rglob("*.py")):
-            digest.update(path.relative_to(ROOT).as_posix().encode())
-            digest.update(path.read_bytes())
+    library, bench = ROOT / "tisfm", Path(__file__).parent
+    files = [
+        path
+        for path in library.rglob("*.py")
+        if path.relative_to(library).parts[0] not in UNRELATED
+    ]
+    files += [path for path in bench.glob("*.py") if path.name not in UNRELATED_MODULES]
+    for path in sorted(files):
+        digest.update(path.relative_to(ROOT).as_posix().encode())
+        digest.update(path.read_bytes())
     return digest.hexdigest()[:12]
 
 
 def choose(options: argparse.Namespace) -> list[Case]:
     """Return the cases that the options name."""
-    cases = smoke_cases() if options.smoke else sequence_cases()
+    cases = smoke_cases() if options.smoke else all_cases()
     return [
         case
         for case in cases
@@ -61,12 +70,29 @@ def choose(options: argparse.Namespace) -> list[Case]:
     ]
 
 
+def describe(case: Case) -> dict[str, Any]:
+    """Return what the tables say of a case, beside its verdict."""
+    return {
+        "name": case.name,
+        "task": case.task,
+        "kind": case.kind,
+        "clean": case.is_clean,
+        "flag due": case.kind == "pan",
+        "half": case.half,
+    }
+
+
 def read_records(path: Path) -> dict[str, Any]:
-    """Return the stored records by name."""
+    """Return the stored records of cases that still exist, by name."""
     if not path.is_file():
         return {}
     stored = json.loads(path.read_text(encoding="utf-8"))
-    return {record["name"]: record for record in stored["cases"]}
+    verdicts = {record["name"]: record for record in stored["cases"]}
+    return {
+        case.name: verdicts[case.name] | describe(case)
+        for case in all_cases()
+        if case.name in verdicts
+    }
 
 
 def run_cases(cases: Sequence[Case], options: argparse.Namespace, keep: Any) -> None:
@@ -101,14 +127,12 @@ def run_cases(cases: Sequence[Case], options: argparse.Namespace, keep: Any) -> 
         finally:
             worker.close()
 
-    with tempfile.TemporaryDirectory(prefix="tisfm-trust-") as folder:
-        threads = [
-            threading.Thread(target=work, args=(k, Path(folder))) for k in range(options.jobs)
-        ]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+    with (
+        tempfile.TemporaryDirectory(prefix="tisfm-trust-") as folder,
+        ThreadPoolExecutor(options.jobs) as pool,
+    ):
+        for done in [pool.submit(work, k, Path(folder)) for k in range(options.jobs)]:
+            done.result()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -137,7 +161,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     options.data = data
     digest = code_digest()
-    records = read_records(path.with_suffix(".json"))
+    records = {} if options.smoke else read_records(path.with_suffix(".json"))
     waiting = [
         case for case in cases if options.again or records.get(case.name, {}).get("code") != digest
     ]
@@ -157,22 +181,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         def keep(case: Case, answer: dict[str, Any]) -> None:
             with lock:
                 step(case.name)
-                records[case.name] = {
-                    "name": case.name,
-                    "task": case.task,
-                    "scene": case.scene,
-                    "kind": case.kind,
-                    "clean": case.is_clean,
-                    "flag due": case.kind == "pan",
-                    "half": case.half,
-                    "code": digest,
-                    **answer,
-                }
+                records[case.name] = {**describe(case), "code": digest, **answer}
                 write_results(path, page(), {"code": digest, "cases": list(records.values())})
 
         run_cases(waiting, options, keep)
-    known = {case.name for case in (smoke_cases() if options.smoke else sequence_cases())}
-    records = {name: record for name, record in records.items() if name in known}
     write_results(path, page(), {"code": digest, "cases": list(records.values())})
     chosen = [records[case.name] for case in cases]
     judged = [record for record in chosen if "failure" not in record]

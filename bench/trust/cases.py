@@ -1,7 +1,7 @@
 """The cases of the bench: worlds with disturbances, and clips of real sequences."""
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from bench.trust.films import Disturbance
@@ -10,6 +10,9 @@ from bench.trust.worlds import MAKERS
 Task = Literal["sequence", "pair"]
 # The focal length that the program gets: the true one, none, or a multiple of the true one.
 FOCALS = {"": 1.0, "focal unknown": None, "focal ×0.6": 0.6, "focal ×1.6": 1.6}
+PAIR = 3, 5  # numbers of the frames of a pair of a film; frame 5 may be the brighter one
+CUT_PAIR = 7, 8  # on both sides of a cut
+PAIRS_OF_CLIP = 0, 7  # first frames of the pairs of a clip
 SPLIT = 71  # chosen without results: most kinds and half of the real sequences are in each half
 SMALL = (120, 160), 8  # height and width, px, and frames of the films of a smoke run
 
@@ -24,6 +27,7 @@ class Clip:
     step: int = 1
     size: int = 400  # px: longer side of the frames of a sequence
     gap: int = 1  # frames of the clip from the first to the second frame of a pair
+    all_focals: bool = True  # whether wrong and unknown focal lengths are cases, too
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +39,7 @@ class Case:
     disturbance: Disturbance = field(default_factory=Disturbance)
     focal: str = ""  # a name of `FOCALS`
     clip: Clip | None = None
+    frames: tuple[int, int] = PAIR  # numbers of the frames of a pair, in its film or clip
 
     @property
     def name(self) -> str:
@@ -42,7 +47,9 @@ class Case:
         if self.clip is not None and self.clip.start:
             words[0] += f" from {self.clip.start}"
         words += [w for w in (self.disturbance.name, self.focal) if w and w != "clean"]
-        return f"{', '.join(words)}{' (pair)' if self.task == 'pair' else ''}"
+        if self.task == "pair":
+            words.append("pair" if self.clip is None else f"pair {self.frames[0]}")
+        return ", ".join(words)
 
     @property
     def kind(self) -> str:
@@ -124,15 +131,15 @@ FOCALS_OF_WORLDS = {
 }
 CLIPS = (
     Clip(folder="tartanair"),
-    Clip(folder="tartanair", start=16),
+    Clip(folder="tartanair", start=16, all_focals=False),
     Clip(folder="hololens", start=2),
-    Clip(folder="hololens", start=40),
+    Clip(folder="hololens", start=40, all_focals=False),
     Clip(folder="new_tsukuba", step=2),
-    Clip(folder="new_tsukuba", start=42, step=2),
+    Clip(folder="new_tsukuba", start=42, step=2, all_focals=False),
     Clip(folder="sevenscenes", start=28, step=2, gap=2),
     Clip(folder="fountain", count=11),
     Clip(folder="kitti_odometry_06", size=480),
-    Clip(folder="kitti_odometry_06", start=30, size=480),
+    Clip(folder="kitti_odometry_06", start=30, size=480, all_focals=False),
     Clip(folder="tum_fr1_rpy", count=20, gap=3),
     Clip(folder="kitti_cars", size=480),
     Clip(folder="kitti_cars", start=8, size=640),
@@ -151,11 +158,30 @@ def sequence_cases() -> list[Case]:
             Case(task="sequence", scene=world, focal=f) for f in FOCALS_OF_WORLDS.get(world, [])
         ]
     for clip in CLIPS:
-        focals = ["", "focal unknown"]
-        if clip.start == 0 or clip.folder in ("hololens", "sevenscenes"):
-            focals = list(FOCALS) if clip.start != 40 else focals
+        focals = list(FOCALS) if clip.all_focals else [""]
         cases += [Case(task="sequence", scene=clip.folder, clip=clip, focal=f) for f in focals]
     return cases
+
+
+def pair_cases() -> list[Case]:
+    """Return all pairs: of the films of `sequence_cases`, and of the clips."""
+    cases = []
+    for case in sequence_cases():
+        if case.clip is None:
+            frames = CUT_PAIR if case.disturbance.kind == "cut" else PAIR
+            cases.append(replace(case, task="pair", frames=frames))
+            continue
+        for first in PAIRS_OF_CLIP:
+            if first and case.focal:
+                continue
+            cases.append(replace(case, task="pair", frames=(first, first + case.clip.gap)))
+    return cases
+
+
+def all_cases() -> list[Case]:
+    """Return all cases; a pair stands behind the sequence whose film it shares."""
+    cases = sequence_cases() + pair_cases()
+    return sorted(cases, key=lambda case: (case.scene, case.disturbance.name, case.focal))
 
 
 def smoke_cases() -> list[Case]:
@@ -164,6 +190,7 @@ def smoke_cases() -> list[Case]:
     return [
         Case(task="sequence", scene="room 0"),
         Case(task="sequence", scene="room 0", disturbance=overlay),
+        Case(task="pair", scene="room 0"),
     ]
 
 

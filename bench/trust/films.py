@@ -1,20 +1,27 @@
 """Films of the rendered worlds, each with one disturbance, and their truth."""
 
+import hashlib
 import math
+import os
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache
+from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.trust.worlds import HEIGHT, MAKERS, WIDTH, World, with_traffic, with_truck
+from bench.trust import worlds
+from bench.trust.worlds import FRAMES, HEIGHT, MAKERS, WIDTH, World, with_traffic, with_truck
+from tisfm import scenes
 from tisfm.camera import Camera
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import Scene
 from tisfm.scenes.room import render_rolling_shutter
 
+CACHE = Path(tempfile.gettempdir()) / "tisfm-trust-films"
 NOISE = 1.5  # grey levels: noise of every film
 SAMPLES = 2  # rays per side of a pixel
 LENS_MARGIN = 1.4  # size of the picture that a lens distorts, over the size of the frames
@@ -48,11 +55,40 @@ class TrueFilm:
     focal: NDArray[np.float64]  # (N,) px
 
 
-@lru_cache(maxsize=4)
 def render_film(
-    name: str, disturbance: Disturbance, size: tuple[int, int] = (HEIGHT, WIDTH), count: int = 16
+    name: str,
+    disturbance: Disturbance,
+    size: tuple[int, int] = (HEIGHT, WIDTH),  # px; smaller frames show the same view
+    count: int = FRAMES,
 ) -> TrueFilm:
-    """Render the film of a world; height and width in px. Smaller films show the same view."""
+    """Return the film of a world; rendered films are kept in a temporary folder."""
+    words = f"{_code_of_rendering()} {name} {disturbance} {size} {count}"
+    path = CACHE / f"{hashlib.sha256(words.encode()).hexdigest()[:16]}.npz"
+    if path.exists():
+        with np.load(path) as stored:
+            return TrueFilm(**{key: stored[key] for key in stored})
+    film = _render_film(name, disturbance, size, count)
+    CACHE.mkdir(exist_ok=True)
+    part = path.with_suffix(f".{os.getpid()}.npz")
+    np.savez(part, **vars(film))
+    part.replace(path)
+    return film
+
+
+@cache
+def _code_of_rendering() -> str:
+    """Return a digest of the code that decides the films."""
+    digest = hashlib.sha256()
+    modules = Path(worlds.__file__), Path(__file__)
+    files = [*modules, *sorted(Path(scenes.__file__).parent.glob("*.py"))]
+    for file in files:
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def _render_film(
+    name: str, disturbance: Disturbance, size: tuple[int, int], count: int
+) -> TrueFilm:
     kind, strength = disturbance.kind, disturbance.strength
     random = np.random.default_rng(7)
     if kind == "cut":
@@ -132,8 +168,8 @@ def _render_distorted(
     world: World, size: tuple[int, int], radial: float
 ) -> tuple[Frames, NDArray[np.float32]]:
     """Return frames, and depth, as a lens with the coefficient k1 shows them."""
-    large = tuple(2 * round(side * LENS_MARGIN / 2) for side in size)
-    frames, depth = _render(world, large, np.full(len(world.poses), world.focal))  # type: ignore[arg-type]
+    large = 2 * round(size[0] * LENS_MARGIN / 2), 2 * round(size[1] * LENS_MARGIN / 2)
+    frames, depth = _render(world, large, np.full(len(world.poses), world.focal))
     rows, columns = np.mgrid[: size[0], : size[1]]
     x, y = (
         (index - (side - 1) / 2) / world.focal
@@ -147,16 +183,12 @@ def _render_distorted(
     if not (slope > 0).all() or straight.max() > LENS_MARGIN * distorted.max():
         raise ValueError(f"k1 is {radial}: expected a lens that shows the whole frame")
     ratio = np.where(distorted > 0, straight / np.maximum(distorted, 1e-12), 1.0)
-    maps = [
+    map_x, map_y = (
         (world.focal * ratio * value + (side - 1) / 2).astype(np.float32)
         for value, side in zip((x, y), large[::-1], strict=True)
-    ]
-    return (
-        np.array(
-            [cv2.remap(f, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT) for f in frames]
-        ),
-        np.array([cv2.remap(d, *maps, cv2.INTER_NEAREST) for d in depth]),
     )
+    bent = [cv2.remap(f, map_x, map_y, cv2.INTER_CUBIC) for f in frames]
+    return np.array(bent), np.array([cv2.remap(d, map_x, map_y, cv2.INTER_NEAREST) for d in depth])
 
 
 def _joined(first: TrueFilm, size: tuple[int, int], count: int) -> TrueFilm:
@@ -229,9 +261,8 @@ Random = np.random.Generator
 def _grain(shape: tuple[int, ...], random: Random, wave: float) -> Frames:
     """Return a random pattern with the deviation 1; `wave` is the deviation of its blur, px."""
     grain = random.standard_normal(shape[-2:], np.float32)
-    if wave:
-        grain = cv2.GaussianBlur(grain, (0, 0), wave)
-    return np.asarray(grain / grain.std())
+    blurred = cv2.GaussianBlur(grain, (0, 0), wave) if wave else grain
+    return np.asarray(blurred / blurred.std())
 
 
 def _cover(frames: Frames, depth: NDArray, mask: NDArray, picture: NDArray) -> Changed:

@@ -87,10 +87,10 @@ def judge_sequence(
     relative = [_depth_error(result.depth(k), true) for k, true in enumerate(depth)]
     pieces = []
     for number in range(int(result.piece.max(initial=-1)) + 1):
-        members = np.flatnonzero(result.piece == number)
-        if not len(members):
+        members = [int(k) for k in np.flatnonzero(result.piece == number)]
+        if not members:
             continue
-        depth_errors = [relative[k] for k in members if relative[k] is not None]
+        depth_errors = [error for k in members if (error := relative[k]) is not None]
         errors = path_errors(
             result.poses[members],
             None if poses is None else poses[members],

@@ -146,7 +146,7 @@ def _worst_piece(record: Record) -> Mapping[str, Any]:
     pieces = record.get("pieces", ())
     if not pieces:
         return {}
-    return max(pieces, key=lambda piece: (bool(piece["faults"]), piece["frames"]))  # type: ignore[no-any-return]
+    return max(pieces, key=lambda piece: (bool(piece["faults"]), piece["frames"]))
 
 
 def _focal_error(record: Record) -> float | None:

@@ -19,11 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import tisfm
-from bench.trust.cases import FOCALS, SMALL, Case, Clip, sequence_cases, smoke_cases
+from bench.trust.cases import FOCALS, SMALL, Case, Clip, all_cases, smoke_cases
 from bench.trust.films import render_film
-from bench.trust.judge import judge_sequence
+from bench.trust.judge import judge_pair, judge_sequence
+from bench.trust.worlds import FRAMES, HEIGHT, WIDTH
 from tisfm.camera import Camera
 from tisfm.datasets import LoadedSequence, find_sequences
+from tisfm.formats import read_image
 from tisfm.lens import undistort_depth
 
 MAX_DEPTH = 60.0  # m: larger true depths of real sequences do not count
@@ -39,7 +41,7 @@ def run_sequence(case: Case, data: Path | None, *, is_smoke: bool) -> dict[str, 
     if case.clip is not None:
         assert data is not None
         return _run_clip(case, case.clip, data)
-    size, count = SMALL if is_smoke else ((240, 320), 16)
+    size, count = SMALL if is_smoke else ((HEIGHT, WIDTH), FRAMES)
     film = render_film(case.scene, case.disturbance, size, count)
     true = Camera(focal=float(film.focal[0]))
     result, seconds = _reconstruct(film.frames, given_camera(true, case.focal))
@@ -62,8 +64,37 @@ def _run_clip(case: Case, clip: Clip, data: Path) -> dict[str, Any]:
         maps.append(true_depth)
     poses = loaded.poses if loaded.posed.all() else None
     verdict = judge_sequence(result, poses, maps)
-    factor = max(result.shape) / max(cv2.imread(str(loaded.frames[0])).shape)
-    return verdict | _about(result, loaded.camera.focal * factor, seconds)
+    shrunk = max(result.shape) / max(read_image(loaded.frames[0]).shape)
+    return verdict | _about(result, loaded.camera.focal * shrunk, seconds)
+
+
+def run_pair(case: Case, data: Path | None, *, is_smoke: bool) -> dict[str, Any]:
+    """Interpret a pair; return its verdict."""
+    depth: NDArray | None
+    if case.clip is not None:
+        assert data is not None
+        loaded = load_clip(case.clip, data)
+        assert loaded.camera is not None
+        true, poses = loaded.camera, loaded.poses if loaded.posed.all() else None
+        frames = [read_image(loaded.frames[k]) for k in case.frames]
+        depth = loaded.depth(case.frames[0])
+        if depth is not None:
+            depth = np.where(depth < MAX_DEPTH, depth, np.float32(np.nan))
+    else:
+        size, count = SMALL if is_smoke else ((HEIGHT, WIDTH), FRAMES)
+        film = render_film(case.scene, case.disturbance, size, count)
+        true, poses = Camera(focal=float(film.focal[case.frames[0]])), film.poses
+        frames, depth = [film.frames[k] for k in case.frames], film.depth[case.frames[0]]
+    camera = given_camera(true, case.focal)
+    begin = time.process_time()
+    result = tisfm.interpret(*frames, camera=camera, settings=settings())
+    seconds = time.process_time() - begin
+    if depth is not None and camera is not None and camera.distortion is not None:
+        depth = undistort_depth(depth, camera)
+    first, second = case.frames
+    motion = None if poses is None else np.linalg.inv(poses[second]) @ poses[first]
+    about = {"focal": result.camera.focal, "true focal": true.focal, "seconds": round(seconds, 2)}
+    return judge_pair(result, motion, depth) | about
 
 
 def _reconstruct(
@@ -133,13 +164,12 @@ def main() -> None:
     print(json.dumps({"ready": True}), flush=True)
     for line in sys.stdin:
         question = json.loads(line)
-        cases = smoke_cases() if question["smoke"] else sequence_cases()
+        cases = smoke_cases() if question["smoke"] else all_cases()
         (case,) = [case for case in cases if case.name == question["case"]]
         with contextlib.redirect_stdout(sys.stderr):
             try:
-                answer = run_sequence(
-                    case, Path(data) if data else None, is_smoke=question["smoke"]
-                )
+                run = run_sequence if case.task == "sequence" else run_pair
+                answer = run(case, Path(data) if data else None, is_smoke=question["smoke"])
             except Exception as error:
                 answer = {"failure": f"{type(error).__name__}: {error}"}
         print(json.dumps(answer), flush=True)

@@ -92,8 +92,9 @@ def test_depth_of_a_camera_that_only_turns_is_invented():
 
 
 def test_cases_have_their_own_names_and_scenes_one_half():
-    listed = cases.sequence_cases()
-    assert len({case.name for case in listed}) == len(listed) >= 60
+    listed = cases.all_cases()
+    assert len({case.name for case in listed}) == len(listed)
+    assert len(cases.sequence_cases()) >= 60 and len(cases.pair_cases()) >= 80
     assert {case.half for case in listed} == {"A", "B"}
     for group in cases.by_scene(listed):
         assert len({case.half for case in group}) == 1
@@ -134,6 +135,22 @@ def test_the_report_lists_wrong_and_flagged_cases():
     assert "- room: path" in text
     assert "- hall: no parallax" in text
     assert "| room | A | wrong, green | path | 2 converged |" in text
+
+
+def test_a_pair_is_judged():
+    def pair(twist, depth, code="converged"):
+        return SimpleNamespace(motions=np.array([twist]), depth=depth, status=Status(code))
+
+    true = pose_matrix((0.1, 0, 0, 0, 0.05, 0))
+    right = judge.judge_pair(pair((1, 0, 0, 0, 0.05, 0), 3 * TRUE_DEPTH), true, TRUE_DEPTH)
+    assert right["outcome"] == "right, green" and not right["faults"]
+    turned = pair((1, 0, 0, 0, 0.1, 0), TRUE_DEPTH)
+    assert judge.judge_pair(turned, true, TRUE_DEPTH)["faults"] == ("rotation",)
+    no_depth = pair((0, 0, 0, 0, 0.05, 0), np.nan * TRUE_DEPTH, "pure_rotation")
+    assert judge.judge_pair(no_depth, true, TRUE_DEPTH)["outcome"] == "refused"
+    still = pose_matrix((0, 0, 0, 0, 0.05, 0))
+    invented = judge.judge_pair(pair((1, 0, 0, 0, 0.05, 0), TRUE_DEPTH), still, TRUE_DEPTH)
+    assert invented["faults"] == ("invented depth",) and invented["outcome"] == "wrong, green"
 
 
 def test_numbers_of_a_check():
