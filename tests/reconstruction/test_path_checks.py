@@ -93,6 +93,18 @@ def test_zoom_contradicts_the_path(rate):
     assert result.checks[0].zoom[0] == pytest.approx(np.log1p(rate), abs=0.5 * rate)
 
 
+def streamed_statuses(frames):
+    stream = tisfm.reconstruct_stream(frames, camera=film().camera, settings=FAST, delay=8)
+    return [frame.status for frame in stream]
+
+
+def test_frames_of_a_stream_are_contradicted():
+    statuses = streamed_statuses(zoomed(0.03))
+    assert set(statuses) == {"contradicted"}
+    assert "focal length changes" in statuses[0].message
+    assert "fixed on the sensor" in streamed_statuses(with_overlay())[-1].message
+
+
 def test_far_texture_is_not_fixed_on_the_sensor():
     # The upper half is far away: it stays at rest, because the camera only translates.
     camera = along(COUNT, np.array((0.06, 0.0, 0.0, 0, 0, 0)))

@@ -9,6 +9,7 @@ class PathCheckSettings:
 
     # pieces
     max_pairs: int = 5  # pairs of a piece
+    max_stream_pairs: int = 2  # pairs of the new frames of a stream, each time the path is solved
     min_keyframes: int = 3  # with fewer keyframes, pairs begin at other frames too
     # median motion of tracks between the frames of a pair, share of the longer side
     pair_motion: float = 0.02

@@ -6,6 +6,7 @@ fixed, and data that later frames do not need are dropped.
 """
 
 import warnings
+from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import replace
@@ -29,8 +30,12 @@ from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.depth.window_depth import WindowDepth
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import Piece
+from tisfm.reconstruction.path_checks.fixed_texture import spread_evenly
+from tisfm.reconstruction.path_checks.pieces import check_pair, check_with_pairs
+from tisfm.reconstruction.path_checks.settings import PATH_CHECKS
 from tisfm.reconstruction.result.calibration import GIVEN, Calibrate
 from tisfm.reconstruction.result.folder import CACHE, PICTURES, read_picture
+from tisfm.reconstruction.result.path_check import PairEvidence, PathCheck
 from tisfm.reconstruction.result.statuses import NO_PARALLAX, add_piece_note
 from tisfm.reconstruction.streaming.sliding_path import SlidingPath, SlidingSolution
 from tisfm.reconstruction.streaming.streamed_frame import StreamedFrame
@@ -69,6 +74,8 @@ class Stream:
         self._frame_info: dict[int, tuple[int, str, float | None]] = {}
         self._last_keyframes: dict[int, tuple[int, WindowDepth]] = {}  # last keyframe of each piece
         self._yielded_pieces: set[int] = set()  # pieces with yielded frames
+        # evidence for and against the path of a piece, from its last pairs of frames
+        self._evidence: dict[int, deque[PairEvidence]] = {}
         self._warned_count = 0
         self._notes: list[str] = list(source.notes)  # notes that were not shown as warnings yet
         self._has_times_fault = False
@@ -152,11 +159,42 @@ class Stream:
             if any(first <= frame <= last for frame in piece.poses)
         }
         self._path.fix_poses(last, pieces)
-        yield from self._find_depth(pieces, solution.missing, first, last)
+        checks = {
+            number: self._check_piece(number, piece, first, last)
+            for number, piece in pieces.items()
+        }
+        yield from self._find_depth(pieces, checks, solution.missing, first, last)
         self._drop_unneeded()
 
+    def _check_piece(self, number: int, piece: Piece, first: int, last: int) -> PathCheck:
+        """Check the path of a piece by pairs that begin at new frames, and by earlier pairs."""
+        poses = self._select_recent(piece).poses
+        new_frames = [frame for frame in poses if first <= frame <= last]
+        evidence = self._evidence.setdefault(number, deque(maxlen=PATH_CHECKS.max_pairs))
+        for frame in spread_evenly(new_frames, PATH_CHECKS.max_stream_pairs):
+            pair = check_pair(
+                frame,
+                poses,
+                self._path.observations,
+                self._frames.grey,
+                self._static_pixels,
+                self._frames.camera,
+            )
+            if pair is not None:
+                evidence.append(pair)
+        return check_with_pairs(tuple(evidence), poses, self._frames.grey, self._frames.camera)
+
+    def _static_pixels(self, frame: int) -> np.ndarray:
+        used_pixels = self._frames.used_pixels(frame)
+        return np.ones(self._frames.shape, bool) if used_pixels is None else used_pixels
+
     def _find_depth(
-        self, pieces: Mapping[int, Piece], missing: Mapping[int, Status], first: int, last: int
+        self,
+        pieces: Mapping[int, Piece],
+        checks: Mapping[int, PathCheck],  # of each piece
+        missing: Mapping[int, Status],
+        first: int,
+        last: int,
     ) -> Iterator[StreamedFrame]:
         """Find the depth of the frames from `first` to `last`, and yield the frames."""
         numbers = {frame: number for number, piece in pieces.items() for frame in piece.poses}
@@ -175,6 +213,8 @@ class Stream:
             ):  # a later keyframe may belong to the next call
                 self._last_keyframes[number] = last_keyframe
             status = Status("converged") if depth is not None else NO_PARALLAX
+            if checks[number].contradicts:
+                status = Status("contradicted", checks[number].message)
             if number not in self._yielded_pieces and number > 0:
                 status = add_piece_note(status)
             self._yielded_pieces.add(number)
