@@ -7,7 +7,7 @@ frame is flagged if it is not green (`is_green`).
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -32,13 +32,13 @@ OUTCOMES = ("wrong, green", "wrong, flagged", "right, flagged", "right, green", 
 
 
 def is_green(result: tisfm.Reconstruction, frame: int) -> bool:
-    """Return whether the program reports a frame as good."""
-    return str(result.status[frame]) == "converged"
+    """Return whether the program reports a frame as good: its status and its grade."""
+    return result.status[frame] == "converged" and result.grade(frame).is_green
 
 
 def is_green_pair(result: tisfm.Interpretation) -> bool:
-    """Return whether the program reports a pair as good."""
-    return str(result.status) == "converged"
+    """Return whether the program reports a pair as good: its status and its grade."""
+    return result.status == "converged" and result.grade.is_green
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +68,9 @@ class Piece:
     """A piece of a result."""
 
     frames: int
-    green: int
+    green: int  # frames that `is_green` accepts
+    converged: int  # frames whose status alone is green
+    expected: float | None  # median over frames of the expected relative error of depth
     errors: Errors
     check: dict[str, Any] = field(default_factory=dict)  # numbers of its checks
 
@@ -84,6 +86,7 @@ def judge_sequence(
 ) -> dict[str, Any]:
     """Return the pieces of a result with their errors, and its outcome."""
     green = np.array([is_green(result, k) for k in range(len(result))])
+    converged = np.array([status == "converged" for status in result.status])
     relative = [_depth_error(result.depth(k), true) for k, true in enumerate(depth)]
     pieces = []
     for number in range(int(result.piece.max(initial=-1)) + 1):
@@ -100,7 +103,14 @@ def judge_sequence(
         )
         check = check_numbers(result.checks[number]) if number < len(result.checks) else {}
         pieces.append(
-            Piece(frames=len(members), green=int(green[members].sum()), errors=errors, check=check)
+            Piece(
+                frames=len(members),
+                green=int(green[members].sum()),
+                converged=int(converged[members].sum()),
+                expected=_expected([result.depth_error[k] for k in members]),
+                errors=errors,
+                check=check,
+            )
         )
     wrong_green = sum(
         1 for error, good in zip(relative, green, strict=True) if good and (error or 0) > MAX_DEPTH
@@ -111,10 +121,14 @@ def judge_sequence(
         "green": int(green.sum()),
         "green frames with wrong depth": wrong_green,
         "outcome": outcome(len(result), pieces),
+        "outcome by status": outcome(
+            len(result), [replace(piece, green=piece.converged) for piece in pieces]
+        ),
         "pieces": [
             {**vars(p), "errors": asdict(p.errors), "faults": p.errors.faults} for p in pieces
         ],
         "statuses": dict(Counter(map(str, result.status))),
+        "grades": dict(Counter(map(str, result.grades))),
         "messages": sorted({s.message for s in result.status if s.message})[:4],
     }
 
@@ -235,18 +249,30 @@ def judge_pair(
                     np.degrees(np.arctan2(np.linalg.norm(np.cross(ours, true)), ours @ true))
                 )
             errors = Errors(rotation=angle, direction=direction, depth=depth_error)
+    converged = result.status == "converged"
     green = is_green_pair(result)
-    piece = Piece(frames=1 if has_depth else 0, green=int(green and has_depth), errors=errors)
-    found = outcome(1, [piece])
-    if found == "wrong, flagged" and green:  # a green motion without depth
-        found = "wrong, green"
+    piece = Piece(
+        frames=1 if has_depth else 0,
+        green=int(green),
+        converged=int(converged),
+        expected=_expected([result.depth_error]),
+        errors=errors,
+    )
     return {
-        "outcome": found,
+        "outcome": outcome(1, [piece]),
+        "outcome by status": outcome(1, [replace(piece, green=piece.converged)]),
         "errors": asdict(errors),
         "faults": errors.faults,
+        "expected": piece.expected,
         "statuses": {str(result.status): 1},
+        "grades": {str(result.grade): 1},
         "messages": [result.status.message] if result.status.message else [],
     }
+
+
+def _expected(errors: Sequence[float]) -> float | None:
+    known = [float(error) for error in errors if np.isfinite(error)]
+    return float(np.median(known)) if known else None
 
 
 def rotation_angle(rotation: NDArray) -> float:

@@ -32,12 +32,12 @@ INTRODUCTION = f"""A result is wrong if a piece of its path is off by more than 
 rotation (largest of its frames), {100 * MAX_PATH:g} % of its length in position (root mean square
 after the best similarity), or {MAX_DIRECTION:g}° in the direction of motion in the axes of the
 camera, or if the median of its depth is off by more than {100 * MAX_DEPTH:g} % (each frame in its
-own scale). A camera that only turns has no depth: stated depth is wrong then. A frame is flagged
-if its status is not `converged`. A sequence is wrong and green if a frame of a wrong piece is not
-flagged. It is right and flagged if no piece is wrong and less than half of its frames are green;
-refused if no piece is wrong and less than half of its frames have a pose. Clean inputs have
-nothing wrong: one that is refused counts as right and flagged. A flag is due where the camera only
-turns.""".replace("\n", " ")
+own scale). A camera that only turns has no depth: stated depth is wrong then. A frame is green if
+its status is `converged` and its grade is good or fair; other frames are flagged. A sequence is
+wrong and green if a frame of a wrong piece is green. It is right and flagged if no piece is wrong
+and less than half of its frames are green; refused if no piece is wrong and less than half of its
+frames have a pose. Clean inputs have nothing wrong: one that is refused counts as right and
+flagged. A flag is due where the camera only turns.""".replace("\n", " ")
 
 
 def is_false_alarm(record: Record) -> bool:
@@ -53,8 +53,9 @@ def is_missed(record: Record) -> bool:
     return bool(record["outcome"] == "wrong, green")
 
 
-def count_table(records: Sequence[Record]) -> Table:
+def count_table(records: Sequence[Record], key: str = "outcome") -> Table:
     """Return the numbers of cases by half and outcome."""
+    records = [{**record, "outcome": record[key]} for record in records]
     rows = []
     for task in ("sequence", "pair"):
         for half in ("A", "B", "both"):
@@ -118,7 +119,10 @@ def case_table(records: Sequence[Record]) -> Table:
     for record in sorted(records, key=lambda r: (order[r["outcome"]], r["name"])):
         piece = _worst_piece(record)
         errors = piece.get("errors", record.get("errors", {}))
-        statuses = ", ".join(f"{n} {s}" for s, n in record["statuses"].items())
+        statuses, grades = (
+            ", ".join(f"{n} {word}" for word, n in record.get(key, {}).items())
+            for key in ("statuses", "grades")
+        )
         rows.append(
             [
                 record["name"],
@@ -126,19 +130,21 @@ def case_table(records: Sequence[Record]) -> Table:
                 record["outcome"],
                 ", ".join(piece.get("faults", record.get("faults", ()))) or EMPTY_CELL,
                 statuses,
+                grades,
                 ", ".join(piece.get("check", {}).get("objections", ())) or EMPTY_CELL,
                 cell(errors.get("rotation"), ".2f"),
                 _percent(errors.get("path"), 2),
                 cell(errors.get("direction"), ".1f"),
                 _percent(errors.get("depth"), 1),
+                _percent(piece.get("expected", record.get("expected")), 1),
                 _percent(_focal_error(record), 1),
             ]
         )
     head = [
-        "case", "half", "outcome", "wrong", "statuses", "objections", "rotation, °", "path, %",
-        "direction, °", "depth, %", "focal length, %",
+        "case", "half", "outcome", "wrong", "statuses", "grades", "objections", "rotation, °",
+        "path, %", "direction, °", "depth, %", "expected depth, %", "focal length, %",
     ]  # fmt: skip
-    return Table(head, rows, text_columns=6)
+    return Table(head, rows, text_columns=7)
 
 
 def _worst_piece(record: Record) -> Mapping[str, Any]:
@@ -181,6 +187,8 @@ def report(records: Sequence[Record], conditions: Mapping[str, Any], missing: Se
         "## Counts",
         "The halves are chosen by the names of scenes: limits are chosen on A, and B is reported.",
         count_table(judged),
+        "If the status alone decided, without the grade:",
+        count_table(judged, "outcome by status"),
         "## Wrong and green",
         _listed([r for r in judged if is_missed(r)]) or "None.",
         "## Right and flagged",

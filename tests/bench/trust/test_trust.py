@@ -7,13 +7,15 @@ import pytest
 
 from bench.trust import cases, films, judge, report
 from bench.trust.worlds import smooth_path
+from tisfm.grade import grade_depth
 from tisfm.rigid import pose_matrix
 from tisfm.status import Status
 
+TRUE_DEPTH = np.tile(np.linspace(2, 6, 40), (20, 1))
 POSES = smooth_path(0, (0.1, 0.0, 0.05), (0, 0.02, 0))
 
 
-def result_of(poses, depth, code="converged"):
+def result_of(poses, depth, code="converged", error=0.02):
     """Return the part of a reconstruction that is judged."""
     count = len(poses)
     return type(
@@ -24,18 +26,18 @@ def result_of(poses, depth, code="converged"):
             "piece": np.where(np.isfinite(poses[:, 0, 0]), 0, -1),
             "status": (Status(code),) * count,
             "checks": (),
+            "grade": lambda self, k: grade_depth(Status(code), error),
+            "grades": property(lambda self: [self.grade(k) for k in range(count)]),
+            "depth_error": np.full(count, error),
             "depth": lambda self, k: depth,
             "__len__": lambda self: count,
         },
     )()
 
 
-def judged(poses, depth, code="converged", truth=POSES):
-    true_depth = np.tile(np.linspace(2, 6, 40), (20, 1))
-    return judge.judge_sequence(result_of(poses, depth, code), truth, [true_depth] * len(poses))
-
-
-TRUE_DEPTH = np.tile(np.linspace(2, 6, 40), (20, 1))
+def judged(poses, depth, code="converged", truth=POSES, error=0.02):
+    result = result_of(poses, depth, code, error)
+    return judge.judge_sequence(result, truth, [TRUE_DEPTH] * len(poses))
 
 
 def in_other_axes(poses):
@@ -124,6 +126,7 @@ def test_a_mirror_shows_the_room_behind_the_camera():
 def test_the_report_lists_wrong_and_flagged_cases():
     record = {
         "name": "room", "task": "sequence", "half": "A", "clean": True, "flag due": False,
+        "outcome by status": "wrong, green",
         "statuses": {"converged": 2}, "messages": ["no parallax"],
         "focal": 110.0, "true focal": 100.0,
     }  # fmt: skip
@@ -137,9 +140,22 @@ def test_the_report_lists_wrong_and_flagged_cases():
     assert "| room | A | wrong, green | path | 2 converged |" in text
 
 
+def test_a_poor_grade_is_a_flag():
+    found = judged(POSES, TRUE_DEPTH**2, error=0.4)
+    assert found["outcome"] == "wrong, flagged" and found["grades"] == {"poor": len(POSES)}
+    assert found["outcome by status"] == "wrong, green"
+
+
 def test_a_pair_is_judged():
     def pair(twist, depth, code="converged"):
-        return SimpleNamespace(motions=np.array([twist]), depth=depth, status=Status(code))
+        grade = grade_depth(Status(code), 0.02)
+        return SimpleNamespace(
+            motions=np.array([twist]),
+            depth=depth,
+            status=Status(code),
+            grade=grade,
+            depth_error=0.02,
+        )
 
     true = pose_matrix((0.1, 0, 0, 0, 0.05, 0))
     right = judge.judge_pair(pair((1, 0, 0, 0, 0.05, 0), 3 * TRUE_DEPTH), true, TRUE_DEPTH)
