@@ -30,7 +30,8 @@ from bench.trust.report import count_table, is_false_alarm, is_missed, report
 # Code that does not decide the results: folders of tisfm, and modules of this bench.
 UNRELATED = ("cli", "doctor", "evaluation", "exports", "report", "running", "show", "view")
 UNRELATED_MODULES = ("__init__.py", "__main__.py", "cases.py", "report.py")
-TIMEOUT = 300.0  # s for a case
+TIMEOUT = 1800.0  # s for a case on a busy machine
+FORMAT = 2  # of a record; older records are dropped
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -87,7 +88,7 @@ def read_records(path: Path) -> dict[str, Any]:
     if not path.is_file():
         return {}
     stored = json.loads(path.read_text(encoding="utf-8"))
-    verdicts = {record["name"]: record for record in stored["cases"]}
+    verdicts = {r["name"]: r for r in stored["cases"] if r.get("format") == FORMAT}
     return {
         case.name: verdicts[case.name] | describe(case)
         for case in all_cases()
@@ -181,7 +182,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         def keep(case: Case, answer: dict[str, Any]) -> None:
             with lock:
                 step(case.name)
-                records[case.name] = {**describe(case), "code": digest, **answer}
+                record = {**describe(case), "format": FORMAT, "code": digest, **answer}
+                records[case.name] = record
                 write_results(path, page(), {"code": digest, "cases": list(records.values())})
 
         run_cases(waiting, options, keep)
