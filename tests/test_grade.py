@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tisfm
-from tisfm.grade import GRADES, GradeSummary, add_focal_error, depth_error, grade_depth
+from tisfm.grade import GRADES, GradeSummary, depth_error, grade_depth
 from tisfm.status import Status
 
 SHAPE = (20, 30)
@@ -51,11 +51,12 @@ def test_no_depth_has_no_error():
 
 
 def test_an_uncertain_focal_length_adds_an_error():
-    errors = np.array([0.0, 0.02, np.nan])
-    np.testing.assert_array_equal(add_focal_error(errors, 0.0), errors)
-    guessed = add_focal_error(errors, np.inf)
-    assert (guessed[:2] > GRADES.max_fair).all() and np.isnan(guessed[2])
-    assert add_focal_error(errors, 0.04)[0] == pytest.approx(0.04 * GRADES.focal_effect)
+    inverse_depth = np.full(SHAPE, 0.5)
+    sure = depth_error(inverse_depth, 0 * inverse_depth, 0.04)
+    assert sure == pytest.approx((0.04 * GRADES.focal_effect, 1))
+    guessed, share = depth_error(inverse_depth, 0 * inverse_depth, np.inf)
+    assert guessed > GRADES.max_fair and share == 0
+    assert np.isnan(depth_error(np.nan * inverse_depth, inverse_depth, np.inf)[0])
 
 
 @pytest.mark.parametrize(

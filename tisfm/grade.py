@@ -1,7 +1,7 @@
 """The grade of a result: how far its depth is expected to be off, in a plain word."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -27,6 +27,16 @@ class GradeSettings:
 
 
 GRADES = GradeSettings()
+
+COLORS = {
+    "good": "#009e73",
+    "fair": "#66a61e",
+    "poor": "#e69f00",
+    "no depth": "#0072b2",
+    "no pose": "#999999",
+    "contradicted": "#d55e00",
+}
+"""Colours of the grades, which people with a colour vision deficiency can distinguish."""
 
 # Statuses that say that pose or depth are wrong.
 _WRONG = ("contradicted", "diverged", "pose_mismatch", "behind_camera", "unexplained", "unrelated")
@@ -80,13 +90,15 @@ def depth_error(
     inverse_depth: np.ndarray,  # (H, W)
     # (H, W): standard deviation; infinite for a pixel that has no depth, or whose depth is filled
     deviation: np.ndarray,
+    # relative standard deviation of the focal length; infinite for a guess
+    focal_deviation: float = 0.0,
 ) -> tuple[float, float]:
     """Return the expected relative error of the depth of a frame, and the share of good pixels.
 
-    The expected error is the median over pixels of the relative deviation, as a median error. It
-    is at most 1, and NaN without depth. The share is that of pixels whose expected error is at
-    most 10 %. A pixel without depth has an infinite deviation. Pixels whose depth is filled from
-    their surroundings do not count.
+    The expected error is the median over pixels of the relative deviation, as a median error, with
+    what an uncertain focal length adds. It is at most 1, and NaN without depth. The share is that
+    of pixels whose expected error is at most 10 %. A pixel without depth has an infinite deviation.
+    Pixels whose depth is filled from their surroundings do not count.
     """
     step = 1 + int(np.sqrt(inverse_depth.size / GRADES.max_pixels))
     inverse_depth, deviation = inverse_depth[::step, ::step], deviation[::step, ::step]
@@ -96,7 +108,11 @@ def depth_error(
     has_deviation = has_depth & np.isfinite(deviation)
     relative = np.full(inverse_depth.shape, np.inf)
     np.divide(deviation, inverse_depth, out=relative, where=has_deviation)
-    expected = GRADES.median_ratio * relative[has_deviation | ~has_depth]
+    focal_deviation = min(focal_deviation, GRADES.guessed_focal_deviation)
+    expected = np.hypot(
+        GRADES.median_ratio * relative[has_deviation | ~has_depth],
+        GRADES.focal_effect * focal_deviation,
+    )
     if not has_deviation.any():
         return GRADES.max_error, 0.0
     middle = float(np.partition(expected, expected.size // 2)[expected.size // 2])
@@ -112,16 +128,6 @@ def grade_depth(status: Status, error: float) -> Grade:
     if status not in _RIGHT or error > GRADES.max_fair:
         return Grade.POOR
     return Grade.GOOD if error <= GRADES.max_good else Grade.FAIR
-
-
-def add_focal_error(
-    errors: np.ndarray,  # (N,): expected relative errors of depth, NaN without depth
-    focal_deviation: float,  # relative standard deviation of the focal length; infinite for a guess
-) -> np.ndarray:
-    """Return the expected errors with what an uncertain focal length adds, (N,) float64."""
-    deviation = min(focal_deviation, GRADES.guessed_focal_deviation)
-    focal_error = GRADES.focal_effect * deviation
-    return np.minimum(np.hypot(errors, focal_error), GRADES.max_error)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,6 +174,26 @@ class GradeSummary:
     def counts_text(self) -> str:
         """The number of frames of each grade, the best first, in words."""
         return ", ".join(f"{count} {grade}" for grade, count in self.counts.items())
+
+
+def warn_of_grades(
+    grades: Sequence[Grade],
+    statuses: Sequence[Status],
+    errors: Sequence[float],  # expected relative errors of depth
+    frames: Iterable[int] | None = None,  # by default all
+) -> str:
+    """Return a warning of contradicted frames, or else of poor depth; "" without such frames."""
+    chosen = range(len(grades)) if frames is None else list(frames)
+    if wrong := [k for k in chosen if grades[k] == Grade.CONTRADICTED]:
+        message = statuses[wrong[0]].message
+        return f"Grade contradicted, {len(wrong)} of {len(chosen)} frames" + f": {message}" * bool(
+            message
+        )
+    if rough := [k for k in chosen if grades[k] == Grade.POOR]:
+        known_errors = [errors[k] for k in rough if not np.isnan(errors[k])]
+        text = f", expected to be off by up to {percent(max(known_errors))}" if known_errors else ""
+        return f"Grade poor, depth of {len(rough)} of {len(chosen)} frames{text}"
+    return ""
 
 
 def percent(share: float) -> str:

@@ -31,6 +31,8 @@ class PointCloud(NDArrayOperatorsMixin):
     positions: np.ndarray
     colors: np.ndarray  # (N, 3) uint8: red, green, blue; three equal values for a grey frame
     confidence: np.ndarray  # (N,) float32: in [0, 1]
+    # a text for the file, such as a warning of the grade of the result
+    note: str = ""
 
     def __post_init__(self) -> None:
         count = len(self.positions)
@@ -104,12 +106,15 @@ class PointCloud(NDArrayOperatorsMixin):
         from trimesh.exchange.ply import export_ply
 
         from tisfm.formats import atomic_write
+        from tisfm.formats.ply_note import add_ply_note
 
         red, green, blue = self.colors.T
         attributes = {"red": red, "green": green, "blue": blue, "confidence": self.confidence}
         mesh = Trimesh(vertices=self.positions, vertex_attributes=attributes, process=False)
         with atomic_write(path) as file:
-            file.write(export_ply(mesh, encoding="binary", vertex_normal=False))
+            file.write(
+                add_ply_note(export_ply(mesh, encoding="binary", vertex_normal=False), self.note)
+            )
 
 
 def point_cloud(

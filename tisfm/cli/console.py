@@ -1,6 +1,7 @@
 """Output of commands: lines, tables and progress bars."""
 
 import os
+import re
 import signal
 import sys
 import warnings
@@ -16,6 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from tisfm import runtime
+from tisfm.grade import COLORS
 from tisfm.machine.text import printable
 from tisfm.machine.vulkan import vulkan_device
 from tisfm.runtime import Arch
@@ -24,6 +26,16 @@ from tisfm.runtime import Arch
 def tell(line: str) -> None:
     """Print one line on standard error, unwrapped and without markup."""
     Console(stderr=True, highlight=False).print(Text(printable(line)), soft_wrap=True)
+
+
+def tell_grade(line: str) -> None:
+    """Print a line with a grade after the word "Grade", in its colour on a terminal."""
+    text = Text(printable(line))
+    if sentence := re.search(r"Grade [^.;]*", text.plain):
+        for word in re.finditer("|".join(COLORS), sentence.group()):
+            start, end = (sentence.start() + k for k in word.span())
+            text.stylize(f"bold {COLORS[word.group()]}", start, end)
+    Console(stderr=True, highlight=False).print(text, soft_wrap=True)
 
 
 def tell_error(text: str) -> None:

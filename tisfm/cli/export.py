@@ -12,7 +12,7 @@ from rich.progress import Progress
 from tyro.conf import Positional, UseAppendAction, arg
 
 from tisfm.checks import spelling_hint
-from tisfm.cli.console import tell
+from tisfm.cli.console import tell, tell_grade
 from tisfm.cli.progress import LARGE_OUTPUT, progress_bar
 from tisfm.errors import InputError
 from tisfm.folders.result_folder import make_result_folder
@@ -97,6 +97,7 @@ def export(options: Export) -> int:
     Everything that can be checked is checked before the first file is written.
     """
     from tisfm.exports.export_request import ExportRequest, check_rate
+    from tisfm.exports.grade_file import GRADES, write_grades
 
     folder, output, scale = options.folder, options.output, options.scale
     formats = _formats(options.to)
@@ -147,6 +148,8 @@ def export(options: Export) -> int:
         printed_notes.update(notes)
         for note in notes:
             tell(f"{name}: {note}")
+    if warning := write_grades(frames, output, request.chosen):
+        tell_grade(f"warning: {warning.removesuffix('.')}. Every frame is in {output / GRADES}.")
     return 0
 
 

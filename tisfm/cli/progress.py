@@ -1,7 +1,9 @@
 """Progress of commands: bars, rates, the time that is left, and the times of stages."""
 
+import math
 import shutil
 import time
+from bisect import insort
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -24,6 +26,7 @@ from tisfm.cli.console import tell
 from tisfm.folders.files import TIMINGS
 from tisfm.formats import atomic_write
 from tisfm.formats.csv_table import csv_table
+from tisfm.grade import percent
 from tisfm.machine.text import as_duration, as_size, printable
 from tisfm.reconstruction.progress import Stage
 from tisfm.running.pair_writer import PairWriter
@@ -75,6 +78,25 @@ class TimeEstimate:
         if remaining > _MIN_PRINTED_TIME:
             speed = f"{new_items / elapsed:.2g} a second"
             tell(f"{total} {self._items}: about {as_duration(remaining)} to go, {speed}")
+
+
+class RunningErrors:
+    """The expected errors of depth so far, and their median."""
+
+    def __init__(self) -> None:
+        self._errors: list[float] = []
+
+    def add(self, error: float) -> None:
+        """Add the expected relative error of a frame or a pair; NaN is left out."""
+        if not math.isnan(error):
+            insort(self._errors, error)
+
+    @property
+    def text(self) -> str:
+        """The median in words; "" without errors."""
+        if not self._errors:
+            return ""
+        return f"off by {percent(self._errors[len(self._errors) // 2])}"
 
 
 def progress_bar() -> Progress:
@@ -170,6 +192,8 @@ class RunProgress:
         stage = f", {slowest}" if slowest and recent_seconds[slowest] > 0 else ""
         counts = ", ".join(f"{count} {code}" for code, count in statuses.items())
         text = f"{name}: {speed:.3g} pairs/s{stage}" + (f"; {counts}" if counts else "")
+        if self.writer is not None and not math.isnan(error := self.writer.median_error):
+            text += f", off by {percent(error)}"
         self._bar.update(self._task, advance=count, description=text)
 
     def estimate(self, interpreted: int) -> None:

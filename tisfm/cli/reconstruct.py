@@ -15,9 +15,22 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from tisfm.camera import Camera
 from tisfm.camera_file import read_camera
-from tisfm.cli.console import print_source_notes, tell, tell_device, watch_interrupt
+from tisfm.cli.console import (
+    print_source_notes,
+    tell,
+    tell_device,
+    tell_grade,
+    watch_interrupt,
+)
 from tisfm.cli.options import CameraOptions, FrameOptions
-from tisfm.cli.progress import LARGE_OUTPUT, STAGES, StageTimes, TimeEstimate, progress_bar
+from tisfm.cli.progress import (
+    LARGE_OUTPUT,
+    STAGES,
+    RunningErrors,
+    StageTimes,
+    TimeEstimate,
+    progress_bar,
+)
 from tisfm.cli.report import report_reconstruction
 from tisfm.errors import InputError
 from tisfm.focal_guess import GuessedFocalWarning
@@ -212,7 +225,7 @@ def reconstruct(options: Reconstruct) -> int:
     else:
         _announce(source, output, frames, options.depth_of)
     tell_device(options.arch)
-    stages = StageTimes()
+    stages, errors = StageTimes(), RunningErrors()
     estimates = {stage: TimeEstimate(f"frames, {text}") for stage, text in STAGES.items()}
     with progress_bar() as bar, watch_interrupt(is_endless) as is_interrupted, print_source_notes():
         warnings.simplefilter("ignore", GuessedFocalWarning)  # printed at the end
@@ -224,9 +237,14 @@ def reconstruct(options: Reconstruct) -> int:
             estimates[stage].update(done, total)
             if stage == "reading" and is_interrupted():
                 raise StopReading
-            bar.update(task, description=STAGES[stage], completed=done, total=total)
+            text = f", {errors.text}" if stage == "depth" and errors.text else ""
+            bar.update(task, description=STAGES[stage] + text, completed=done, total=total)
 
-        result = run.result(resume=options.resume, progress=tell_progress)
+        def tell_depth(frame: int, error: float) -> None:
+            errors.add(error)
+            bar.update(task, description=f"{STAGES['depth']}, {errors.text}")
+
+        result = run.result(resume=options.resume, progress=tell_progress, report_depth=tell_depth)
         stages.end()
     # The result is written and summarised before steps that may fail.
     with locked_folder(output, reentrant=True):  # fusion takes long
@@ -373,7 +391,8 @@ def write_trajectories(result: Reconstruction, folder: Path) -> None:
     poses = np.where((result.piece == largest)[:, None, None], result.poses, np.nan)
     if not np.isfinite(poses).any():
         return
-    write_tum(folder / TRAJECTORY, poses, times_or_numbers(result.times))
+    note = result.warning(np.flatnonzero(result.piece == largest).tolist())
+    write_tum(folder / TRAJECTORY, poses, times_or_numbers(result.times), note=note)
     write_kitti(folder / POSES, poses)
 
 
@@ -381,9 +400,10 @@ def _tell(result: Reconstruction, output: Path) -> None:
     count = len(result)
     posed_count = int((result.piece >= 0).sum())
     sizes = np.bincount(result.piece[result.piece >= 0])
-    tell(
+    tell_grade(
         f"{posed_count} of {count} frames have a pose, in {describe_pieces(sizes)}; "
-        f"{len(result.keyframes)} keyframes. Results in {output}."
+        f"{len(result.keyframes)} keyframes. Grade {result.grade_summary.text}. "
+        f"Results in {output}."
     )
     for moving_object in result.objects:
         pose_count = int(np.isfinite(moving_object.poses[:, 0, 0]).sum())

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from tisfm.cli.console import tell, tell_device
+from tisfm.cli.console import tell, tell_device, tell_grade
 from tisfm.cli.options import CameraOptions, FrameOptions, SettingsOptions
 from tisfm.cli.progress import RunProgress
 from tisfm.cli.report import report_run
@@ -159,9 +159,11 @@ def _tell_result(writer: PairWriter) -> None:
     seconds = sorted(writer.seconds)
     median_time = f", {seconds[len(seconds) // 2]:.2f} s each (median)" if seconds else ""
     number = sum(writer.statuses.values())
-    tell(
-        f"{number} pair{'s' * (number != 1)}: {statuses}{median_time}. Results in {writer.folder}, "
-        f"settings and scales in {writer.folder / RECORD}."
+    grades = writer.grade_summary
+    tell_grade(
+        f"{number} pair{'s' * (number != 1)}: {statuses}{median_time}. "
+        + (f"Grade {grades.text}. " if grades else "")
+        + f"Results in {writer.folder}, settings and scales in {writer.folder / RECORD}."
     )
     for code, advice in writer.advice.items():
         tell(f"{code}: {advice}")

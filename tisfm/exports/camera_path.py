@@ -216,7 +216,7 @@ def write_gltf_cameras(
             np.array(piece) / rate,
             vertical_angle=vertical_angle(result.camera, height),
             aspect=width / height,
-            extras=extras,
+            extras=extras | ({"note": note} if (note := result.warning(piece)) else {}),
         )
         with atomic_write(file) as stream:
             stream.write(document)

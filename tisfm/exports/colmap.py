@@ -23,6 +23,7 @@ from tisfm.exports.model_folder import (
     write_pictures,
 )
 from tisfm.exports.tracks import Tracks, count_cells, measure_tracks
+from tisfm.formats import atomic_write
 from tisfm.reconstruction.mapping.database import PIXEL_CENTRE, colmap_camera, pycolmap
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
@@ -144,7 +145,10 @@ def write_colmap(
             )
             name = f"{MODELS}/{number}"
             write_model(
-                _colmap_reconstruction(reconstruction, frames, tracks), new_folder / name, form
+                _colmap_reconstruction(reconstruction, frames, tracks),
+                new_folder / name,
+                form,
+                note=reconstruction.warning(frames),
             )
             models.append(model_summary(name, piece, frames, tracks))
         posed_frames = sorted(frame for frames in pieces.values() for frame in frames)
@@ -153,6 +157,7 @@ def write_colmap(
         if has_masks(reconstruction):
             write_masks(reconstruction, posed_frames, new_folder / MASKS, ".jpg.png")
         record["models"] = [asdict(model) for model in models]
+        record["warning"] = reconstruction.warning(posed_frames)
     return tuple(models)
 
 
@@ -227,6 +232,8 @@ def write_model(
     model: Any,
     folder: Path,  # this function makes it
     form: Form,
+    *,
+    note: str = "",  # a text for the comments of text files
 ) -> None:
     """Write a reconstruction of pycolmap that has one camera, and check that it is complete.
 
@@ -240,6 +247,16 @@ def write_model(
     if form != "binary":
         model.write_text(folder)
     check_complete(model, folder, form)
+    if note and form != "binary":
+        for name in ("images.txt", "points3D.txt"):
+            _add_comment(folder / name, note)
+
+
+def _add_comment(path: Path, note: str) -> None:
+    """Write a text as the first line of a text file, as a comment."""
+    content = path.read_bytes()
+    with atomic_write(path) as file:
+        file.write(f"# {' '.join(note.split())}\n".encode() + content)
 
 
 def check_complete(model: Any, folder: Path, form: Form) -> None:

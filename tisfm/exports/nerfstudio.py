@@ -111,6 +111,7 @@ def write_nerfstudio(
             positions=(tracks.positions @ TO_Z_UP[:3, :3].T).astype(np.float32),
             colors=tracks.colors,
             confidence=np.ones(len(tracks), np.float32),
+            note=reconstruction.warning(frames),
         )
         cloud.save(new_folder / POINTS)
         with atomic_write(new_folder / TRANSFORMS) as file:
@@ -121,6 +122,7 @@ def write_nerfstudio(
             write_masks(reconstruction, frames, new_folder / MASKS, ".png")
         model = model_summary(TRANSFORMS, piece_number, frames, tracks)
         record["models"] = [asdict(model)]
+        record["warning"] = reconstruction.warning(frames)
     return model
 
 
@@ -149,5 +151,6 @@ def _transforms_record(result: Reconstruction, frames: list[int]) -> dict[str, A
         "camera_angle_y": 2 * math.atan(height / (2 * focal)),
         "applied_transform": TO_Z_UP[:3].tolist(),
         "ply_file_path": POINTS,
+        **({"tisfm_warning": warning} if (warning := result.warning(frames)) else {}),
         "frames": entries,
     }

@@ -140,7 +140,9 @@ def save_points(points: PointCloud, path: str | os.PathLike[str]) -> None:
             "a GLB file needs at least one point" if suffix == ".glb" else "expected .ply or .glb"
         )
         raise InputError(f"path is {os.fspath(path)}: {reason}")
-    content = glb_points(points.positions * np.array([1, -1, -1], np.float32), points.colors)
+    content = glb_points(
+        points.positions * np.array([1, -1, -1], np.float32), points.colors, note=points.note
+    )
     with atomic_write(path) as file:
         file.write(content)
 

@@ -59,7 +59,7 @@ def write_tum_paths(
     times = frame_times(result.times, frames_per_second)
     files = piece_files(Path(folder), TUM, pieces)
     for file, piece in zip(files, pieces, strict=True):
-        write_tum(file, result.poses[piece], times[piece])
+        write_tum(file, result.poses[piece], times[piece], note=result.warning(piece))
     return files
 
 

@@ -4,6 +4,7 @@ import json
 import math
 import os
 import time
+from bisect import insort
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -14,12 +15,13 @@ from tisfm.folders.files import TIMINGS, compare_records, file_checksum, summari
 from tisfm.formats import atomic_write
 from tisfm.formats.csv_table import csv_table
 from tisfm.formats.reading import FormatError
+from tisfm.grade import Grade
 from tisfm.status import Status
 from tisfm.trajectory.times import time_fault
 
 RECORD = "run.json"
 TABLE = "run.csv"
-FORMAT = 2  # version of the format of `RECORD`
+FORMAT = 3  # version of the format of `RECORD`
 # A run can be resumed only if these entries are equal.
 REQUEST_KEYS = (
     "version", "arch", "lanes", "camera", "source", "settings", "window", "outputs", "figures",
@@ -40,8 +42,8 @@ RANGE_KEYS = ("depth16_values_per_unit", "depth_range", "flow_limit", "screen_at
 _MIN_WRITE_INTERVAL = 1.0  # s between two writings of the record; set by hand
 _MIN_INTERVAL_RATIO = 20.0  # this interval divided by the time of a writing; set by hand
 _COLUMNS = (
-    "pair", "status", "message", "time0", "time1", "speed", "occluded", "confidence", "tx", "ty",
-    "tz", "rx", "ry", "rz",
+    "pair", "status", "message", "grade", "depth_error", "time0", "time1", "speed", "occluded",
+    "confidence", "tx", "ty", "tz", "rx", "ry", "rz",
 )  # fmt: skip
 
 
@@ -63,6 +65,8 @@ class RunRecord:
     ----------
     statuses : Counter
         Number of finished pairs by status code.
+    errors : list of float
+        Expected relative errors of the depth of finished pairs, in rising order.
     seconds : dict of str to float
         Times of the pairs that this command interpreted, s, by their names.
     """
@@ -73,6 +77,7 @@ class RunRecord:
             "format": FORMAT, **request, **dict.fromkeys(RANGE_KEYS), "notes": [], "pairs": {}
         }  # fmt: skip
         self.statuses: Counter[str] = Counter()
+        self.errors: list[float] = []
         self.seconds: dict[str, float] = {}
         self._next_write, self._is_written = -math.inf, True
         self._earlier: dict[str, Any] | ValueError | None = None
@@ -128,6 +133,8 @@ class RunRecord:
             )
         self._record = _check_values(earlier, self._folder / RECORD)
         self.statuses.update(pair["status"] for pair in self.pairs.values())
+        for pair in self.pairs.values():
+            _insert_error(self.errors, pair)
 
     def is_complete(self, name: str, digest: str, endings: Collection[str]) -> bool:
         """Return whether a pair has an entry and its files are unchanged (`is_unchanged`)."""
@@ -141,6 +148,7 @@ class RunRecord:
         earlier = self.pairs.get(name)
         self._record["pairs"][name] = {**entry, "files": dict(files)}
         self.statuses[entry["status"]] += 1
+        _insert_error(self.errors, entry)
         if earlier is not None:
             self.statuses[earlier["status"]] -= 1
         self._is_written = False
@@ -179,6 +187,12 @@ class RunRecord:
         self._is_written = True
         end = time.monotonic()
         self._next_write = end + max(_MIN_WRITE_INTERVAL, _MIN_INTERVAL_RATIO * (end - begin))
+
+
+def _insert_error(errors: list[float], pair: Mapping[str, Any]) -> None:
+    """Insert the expected error of a pair into sorted errors, if the pair has depth."""
+    if (error := pair.get("depth_error")) is not None:
+        insort(errors, error)
 
 
 def refuse_other_format(
@@ -259,11 +273,13 @@ def _check_values(record: dict[str, Any], path: Path) -> dict[str, Any]:
             if record[key] is not None and not _is_number(record[key]):
                 raise InputError(f"{key} is {record[key]!r}")
         for name, pair in record["pairs"].items():
+            Grade(pair["grade"])
             texts = (pair["status"], pair["message"], pair["frames"])
             numbers = [*(pair.get("times") or ()), *(pair.get("twists") or [()])[0]]
             for length, checksum in pair["files"].values():
                 numbers += [length, checksum]
             numbers.append(pair["number"])
+            numbers += [] if pair["depth_error"] is None else [pair["depth_error"]]
             if not all(isinstance(text, str) for text in texts):
                 raise InputError(f"the entry of {name} has a value that is not a text")
             if not all(map(_is_number, numbers)):
@@ -286,6 +302,8 @@ def _table_row(pair: Mapping[str, Any]) -> Iterator[Any]:
     """Yield the columns of a pair, without its name."""
     yield pair["status"]
     yield pair["message"]
+    yield pair.get("grade")
+    yield pair.get("depth_error")
     yield from pair.get("times") or (None, None)
     for key in ("speed", "occluded", "confidence"):
         yield pair.get(key)

@@ -27,23 +27,27 @@ def glb_surface(
     vertices: NDArray[np.floating],  # (N, 3) float
     faces: NDArray[np.integer],  # (M, 3) int
     colors: NDArray[np.uint8],  # (N, 3) uint8: sRGB
+    *,
+    note: str = "",  # a text for the extras of the file
 ) -> bytes:
     """Return a surface with a colour at each vertex, visible from both sides."""
     from trimesh import Trimesh  # slow to import
 
     mesh = Trimesh(vertices=vertices, faces=faces, vertex_colors=colors, process=False)
-    return _export(mesh.scene(), colors)
+    return _export(mesh.scene(), colors, note)
 
 
 def glb_points(
     positions: NDArray[np.floating],  # (N, 3) float: at least one
     colors: NDArray[np.uint8],  # (N, 3) uint8: sRGB
+    *,
+    note: str = "",  # a text for the extras of the file
 ) -> bytes:
     """Return coloured points."""
     from trimesh import PointCloud, Scene  # slow to import
 
     opaque_colors = np.column_stack([colors, np.full(len(colors), 255, np.uint8)])
-    return _export(Scene(PointCloud(positions, colors=opaque_colors)), colors)
+    return _export(Scene(PointCloud(positions, colors=opaque_colors)), colors, note)
 
 
 def srgb_from_light(light: NDArray[np.floating] | NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -64,7 +68,7 @@ def make_unlit(tree: dict[str, Any]) -> None:
         material.setdefault("extensions", {})[UNLIT] = {}
 
 
-def _export(scene: "Scene", colors: NDArray[np.uint8]) -> bytes:
+def _export(scene: "Scene", colors: NDArray[np.uint8], note: str) -> bytes:
     """Return a scene of one object as GLB; the light of its colours, (N, 3), as float32.
 
     trimesh writes light in 8 bits, in which several dark sRGB values share one level.
@@ -81,11 +85,16 @@ def _export(scene: "Scene", colors: NDArray[np.uint8]) -> bytes:
         accessor.update(componentType=_FLOAT32_TYPE, type="VEC3", **bounds)
         buffers[list(buffers)[accessor["bufferView"]]] = light.tobytes()
 
+    def finish_tree(tree: dict[str, Any]) -> None:
+        _use_one_material(tree)
+        if note:
+            tree["asset"]["extras"] = {"note": note}
+
     data = export_glb(
         scene,
         include_normals=False,
         buffer_postprocessor=replace_colours,
-        tree_postprocessor=_use_one_material,
+        tree_postprocessor=finish_tree,
     )
     return bytes(data)
 

@@ -13,6 +13,7 @@ from tisfm.checks import check_whole_numbers, refuse_masked
 from tisfm.errors import InputError, MissingPackageError
 from tisfm.formats import atomic_write
 from tisfm.formats.glb import glb_surface
+from tisfm.formats.ply_note import add_ply_note
 from tisfm.fusion.depth_views import DepthView, PosedViews, check_positive
 from tisfm.fusion.isosurface import extract_surface
 from tisfm.fusion.signed_distance import (
@@ -38,6 +39,8 @@ class Mesh:
     faces: NDArray[np.int32]
     colors: NDArray[np.uint8]  # (V, 3) uint8: red, green, blue
     voxel: float  # edge of the voxels of the distance field, in the unit of the vertices
+    # a text for the file, such as a warning of the grade of the result
+    note: str = ""
 
     def __post_init__(self) -> None:
         count = len(self.vertices)
@@ -86,7 +89,10 @@ class Mesh:
 
     def _glb(self) -> bytes:
         return glb_surface(
-            self.vertices * np.array([1, -1, -1], np.float32), self.faces, self.colors
+            self.vertices * np.array([1, -1, -1], np.float32),
+            self.faces,
+            self.colors,
+            note=self.note,
         )
 
     def _ply(self) -> bytes:
@@ -96,7 +102,7 @@ class Mesh:
         mesh = Trimesh(
             vertices=self.vertices, faces=self.faces, vertex_colors=self.colors, process=False
         )
-        return bytes(export_ply(mesh, "binary", vertex_normal=False))
+        return add_ply_note(export_ply(mesh, "binary", vertex_normal=False), self.note)
 
 
 # Defaults, set by hand:

@@ -16,7 +16,7 @@ from tisfm.camera_file import camera_file_path, read_camera
 from tisfm.checks import check_pose_count, refuse_masked
 from tisfm.errors import InputError, InputTypeError
 from tisfm.reconstruction.path.given_poses import poses_of_frames
-from tisfm.reconstruction.progress import DepthOf, FixedPixels, Progress
+from tisfm.reconstruction.progress import DepthOf, FixedPixels, Progress, ReportDepth
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.earlier_labels import find_result_labels
 from tisfm.reconstruction.result.folder import CACHE
@@ -51,6 +51,7 @@ def reconstruct(
     bad_frames: BadFrames = "raise",
     folder: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
+    report_depth: ReportDepth | None = None,
 ) -> Reconstruction:
     """Reconstruct a sequence: the camera path, and the depth of every frame in its scale.
 
@@ -125,6 +126,10 @@ def reconstruct(
     progress : callable, optional
         Called as ``progress(stage, done, total)`` with the stage ``"reading"``, ``"path"`` or
         ``"depth"``, and numbers of frames; the total is None if it is not known.
+    report_depth : callable, optional
+        Called as ``report_depth(frame, error)`` after the depth of each frame, with the number of
+        the frame in the result and the expected relative error of its depth, as in
+        `Reconstruction.depth_error`.
 
     Returns
     -------
@@ -250,6 +255,8 @@ def reconstruct(
                 )
                 if progress is not None:
                     job = replace(job, progress=progress)
+                if report_depth is not None:
+                    job = replace(job, report_depth=report_depth)
                 result = reconstruct_sequence(job)
             finally:
                 shutil.rmtree(path / CACHE, ignore_errors=True)

@@ -19,7 +19,7 @@ from tisfm.camera_file import FILE_NAME as CAMERA
 from tisfm.camera_file import write_camera
 from tisfm.errors import InputError
 from tisfm.focal_guess import GuessedFocalWarning
-from tisfm.grade import add_focal_error, depth_error
+from tisfm.grade import depth_error
 from tisfm.lens import Undistortion
 from tisfm.reconstruction.calibration.source_camera import SourceCamera
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
@@ -33,7 +33,7 @@ from tisfm.reconstruction.path.given_path import given_path
 from tisfm.reconstruction.path.path_solver import CameraPath, PathSolver
 from tisfm.reconstruction.path_checks.fixed_texture import camera_turns, find_fixed_pixels
 from tisfm.reconstruction.path_checks.pieces import check_piece
-from tisfm.reconstruction.progress import DepthOf, FixedPixels, Progress, StopReading
+from tisfm.reconstruction.progress import DepthOf, FixedPixels, Progress, ReportDepth, StopReading
 from tisfm.reconstruction.result.calibration import Calibrate, Calibration, as_json
 from tisfm.reconstruction.result.folder import (
     CACHE,
@@ -70,6 +70,10 @@ def _no_progress(stage: str, done: int, total: int | None) -> None:
     """Ignore the progress."""
 
 
+def _no_report(frame: int, error: float) -> None:
+    """Ignore the expected error of the depth of a frame."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Job:
     """A sequence to reconstruct, with the checked arguments of `tisfm.reconstruct`."""
@@ -82,6 +86,7 @@ class Job:
     poses: Trajectory | None  # given poses
     folder: Path  # folder of the result, ready to be written to
     progress: Progress = _no_progress  # as for `tisfm.reconstruct`
+    report_depth: ReportDepth = _no_report  # as for `tisfm.reconstruct`
     fixed_pixels: FixedPixels = "mask"  # whether pixels that are fixed on the sensor are masked
     depth_of: DepthOf = "all"  # the frames whose depth is estimated
     # known lengths of moving objects, by their ids
@@ -148,7 +153,7 @@ def reconstruct_sequence(job: Job) -> Reconstruction:
     reading = read_frames(job)
     path_result = solve_path(job, reading)
     calibration = _calibration(job, reading, path_result)
-    depth = find_depth(job, reading, path_result.path)
+    depth = find_depth(job, reading, path_result.path, calibration.relative_focal_std)
     checks = check_pieces(job, reading.frames, path_result.path, depth)
     return write_result(job, reading, path_result, calibration, depth, checks)
 
@@ -291,7 +296,12 @@ def _mask_fixed_pixels(job: Job, reading: ReadingResult) -> tuple[CameraPath, np
     return path, mask
 
 
-def find_depth(job: Job, reading: ReadingResult, path: CameraPath) -> DepthResult:
+def find_depth(
+    job: Job,
+    reading: ReadingResult,
+    path: CameraPath,
+    focal_deviation: float,  # relative standard deviation of the focal length
+) -> DepthResult:
     """Find and write the depth of frames, piece by piece; poses get the unit of the depth."""
     count = len(reading.names)
     poses = np.full((count, 4, 4), np.nan)
@@ -305,7 +315,7 @@ def find_depth(job: Job, reading: ReadingResult, path: CameraPath) -> DepthResul
     for number, piece in enumerate(path.pieces):
         piece = _adjust_poses(job, reading.frames, piece, path.observations)
         kinds, unit, piece_errors = _piece_depth(
-            job, reading.frames, piece, path.observations, done
+            job, reading.frames, piece, path.observations, done, focal_deviation
         )
         for frame, (error, share) in piece_errors.items():
             errors[frame], shares[frame] = error, share
@@ -387,8 +397,9 @@ def write_result(
         for frame in {frame for obj in objects for frame in obj.frames}:
             if not np.isnan(errors[frame]):  # objects changed its depth
                 depth_of_frame = read_depth(job.folder, frame, reading.frames.shape)
-                errors[frame], shares[frame] = depth_error(*depth_of_frame)
-    errors = add_focal_error(errors, calibration.relative_focal_std)
+                errors[frame], shares[frame] = depth_error(
+                    *depth_of_frame, calibration.relative_focal_std
+                )
     result = Reconstruction(
         poses=depth.poses,
         piece=depth.piece,
@@ -491,12 +502,17 @@ def _adjust_poses(
 
 
 def _piece_depth(
-    job: Job, frames: PreparedFrames, piece: Piece, observations: Sequence[Observations], done: int
+    job: Job,
+    frames: PreparedFrames,
+    piece: Piece,
+    observations: Sequence[Observations],
+    done: int,  # number of frames of earlier pieces
+    focal_deviation: float,  # relative standard deviation of the focal length
 ) -> tuple[dict[int, str], float, dict[int, tuple[float, float]]]:
     """Write the depth of a piece's frames.
 
     Returns the kind of each frame, "keyframe" or "between"; the unit; and `depth_error` of each
-    frame. `done` is the number of frames of earlier pieces.
+    frame.
     """
     if job.depth_of == "none":
         return {}, median_track_depth(piece, observations), {}
@@ -517,7 +533,8 @@ def _piece_depth(
         if not kinds and job.poses is None:
             unit = median_depth(depth.inverse_depth)
         write_depth(job.folder, depth.frame, depth.inverse_depth * unit, depth.deviation * unit)
-        errors[depth.frame] = depth_error(depth.inverse_depth, depth.deviation)
+        errors[depth.frame] = depth_error(depth.inverse_depth, depth.deviation, focal_deviation)
+        job.report_depth(depth.frame, errors[depth.frame][0])
         kinds[depth.frame] = "keyframe" if depth.frame in depths.keyframes else "between"
         job.progress("depth", done + len(kinds), len(observations))
     if not kinds and job.poses is None:

@@ -11,6 +11,8 @@ FixedPixels = Literal["mask", "keep"]
 Progress = Callable[[Stage, int, int | None], None]
 """A function that is called with the stage, the number of finished frames, and the number of all
 frames, or None if it is unknown."""
+ReportDepth = Callable[[int, float], None]
+"""A function that is called with the number of a frame and the expected error of its depth."""
 
 
 class StopReading(Exception):  # noqa: N818  (it is no error)

@@ -3,5 +3,5 @@
 Here: `ResultFrames`, the interface through which exports, viewer and reports read both kinds of
 folder. `PairFrames` reads the folder of a run, `SequenceFrames` the folder of a reconstruction.
 May import: `tisfm.folders`, `tisfm.formats`, `tisfm.reconstruction`, and of the top level `camera`,
-`interpretation`, `status` and `rigid`.
+`grade`, `interpretation`, `status` and `rigid`.
 """

@@ -1,5 +1,6 @@
 """The pairs of a folder of `tisfm run`, also while the run goes on."""
 
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,6 +15,7 @@ from tisfm.folders.run_record import RECORD as RUN
 from tisfm.folders.run_record import refuse_other_format
 from tisfm.formats import FormatError
 from tisfm.formats.reading import read_json
+from tisfm.grade import Grade
 from tisfm.interpretation import Interpretation
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.results.frame import ResultFrame, mean_inverse_depth
@@ -202,6 +204,13 @@ class PairFrames:
         self._files = [(name, pair.get("files")) for name, pair in complete_pairs]
         self.statuses: Sequence[Status] = [
             Status(pair["status"], pair["message"]) for _, pair in complete_pairs
+        ]
+        self.grades: Sequence[Grade] = [
+            Grade(pair.get("grade", Grade.POOR)) for _, pair in complete_pairs
+        ]
+        self.depth_errors: Sequence[float] = [
+            math.nan if (error := pair.get("depth_error")) is None else float(error)
+            for _, pair in complete_pairs
         ]
         self.times: Sequence[float | None] = [
             (pair.get("times") or [None])[0] for _, pair in complete_pairs

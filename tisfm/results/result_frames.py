@@ -9,6 +9,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tisfm.grade import Grade
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.results.frame import ResultFrame
 from tisfm.results.fused_scene import FusedKind, FusedScene
@@ -24,6 +25,8 @@ class ResultFrames(Protocol):
     names: Sequence[str]  # names of the frames in the source
     times: Sequence[float | None]  # s
     statuses: Sequence[Status]
+    grades: Sequence[Grade]
+    depth_errors: Sequence[float]  # expected relative errors of depth; NaN where unknown
     poses: NDArray[np.float64]  # (N, 4, 4) float64: camera to world, NaN for a frame without a pose
     piece: NDArray[np.int32]  # (N,) int32: frames of one piece have one scale; −1 without a pose
     objects: tuple[MovingObject, ...]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.errors import InputError
+from tisfm.grade import Grade
 from tisfm.reconstruction.result.folder import DEPTH, RECORD, depth_path
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.reconstruction.result.reconstruction import Reconstruction
@@ -155,6 +156,8 @@ class SequenceFrames:
         self._result, self.folder = result, result.folder
         self.names: Sequence[str] = list(result.names)
         self.statuses: Sequence[Status] = list(result.status)
+        self.grades: Sequence[Grade] = list(result.grades)
+        self.depth_errors: Sequence[float] = result.depth_error.tolist()
         self.times: Sequence[float | None] = list(result.times)
         self.objects = result.objects
         self.poses, self.piece = result.poses, result.piece

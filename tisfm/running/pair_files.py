@@ -15,6 +15,7 @@ from tisfm.folders.files import file_checksum
 from tisfm.folders.result_folder import InputFiles
 from tisfm.folders.run_record import ENDINGS
 from tisfm.formats import atomic_write, choose_depth_scale, write_depth_png, write_flo, write_png
+from tisfm.grade import depth_error, grade_depth
 from tisfm.interpretation import Interpretation
 from tisfm.machine.text import printable
 from tisfm.rigid import rigid_motion
@@ -106,6 +107,8 @@ class PairFiles:
     # the quantile of depth at the screen plane, in the first pair with depth
     disparity: float = DISPARITY
     screen: float | None = None
+    # relative standard deviation of the focal length; infinite for a guess
+    focal_deviation: float = 0.0
     # files that no result may replace
     inputs: InputFiles = field(default_factory=InputFiles, repr=False)
 
@@ -199,7 +202,7 @@ class PairFiles:
             "motions": _finite_list(motions),
             "frames": digest,
             "times": times,
-            **_summary(result),
+            **_summary(result, self.focal_deviation),
         }
         files = {
             ending: file_checksum(self.folder / f"{name}{ending}")
@@ -230,13 +233,19 @@ def check_outputs(outputs: Collection[str]) -> tuple[str, ...]:
     return tuple(output for output in ENDINGS if output in outputs)
 
 
-def _summary(result: Interpretation) -> dict[str, Any]:
+def _summary(result: Interpretation, focal_deviation: float) -> dict[str, Any]:
     """Return the values of a pair, except its status, for the table of a run."""
     with np.errstate(over="ignore"):
         speed = np.sqrt(result.flow[..., 0] ** 2 + result.flow[..., 1] ** 2)
     is_finite = np.isfinite(speed)
     mean_speed = np.mean(speed, where=is_finite, dtype=np.float64) if is_finite.any() else np.nan
+    error, grade = result.depth_error, result.grade
+    if result.inverse_depth_std is not None:
+        error, _ = depth_error(result.inverse_depth, result.inverse_depth_std, focal_deviation)
+        grade = grade_depth(result.status, error)
     return {
+        "grade": str(grade),
+        "depth_error": _round(error),
         "speed": _round(float(mean_speed)),
         "occluded": _round(np.count_nonzero(result.occlusion) / result.occlusion.size),
         "confidence": _round(result.confidence.mean(dtype=np.float64)),

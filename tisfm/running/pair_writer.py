@@ -1,5 +1,6 @@
 """The writer of the folder of `tisfm run` and `tisfm demo`: files, record, and common ranges."""
 
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
@@ -13,6 +14,7 @@ from tisfm.camera import Camera
 from tisfm.folders.files import TIMINGS
 from tisfm.folders.result_folder import InputFiles, locked_folder, make_result_folder
 from tisfm.folders.run_record import ENDINGS, RANGE_KEYS, RECORD, TABLE, RunRecord
+from tisfm.grade import Grade, GradeSummary
 from tisfm.interpretation import Interpretation
 from tisfm.report import REPORT, is_report
 from tisfm.running.pair_files import DEFAULT_OUTPUTS, Checksums, PairFiles, Ranges, check_outputs
@@ -66,6 +68,8 @@ class PairWriter:
         # any file, and once more at their writing
         names: Iterable[str] = (),
         notes: Sequence[str] = (),
+        # relative standard deviation of the focal length; infinite for a guess
+        focal_deviation: float = 0.0,
     ) -> None:
         self.folder, self.camera = Path(folder), camera
         self._inputs = inputs or InputFiles()
@@ -78,6 +82,7 @@ class PairWriter:
             has_pose=settings.motion != "field",
             disparity=disparity,
             screen=screen,
+            focal_deviation=focal_deviation,
             inputs=self._inputs,
         )
         self._inputs.refuse(
@@ -185,6 +190,20 @@ class PairWriter:
     def statuses(self) -> Mapping[str, int]:
         """Number of finished pairs by status code, including pairs of a resumed run."""
         return {code: count for code, count in list(self._record.statuses.items()) if count}
+
+    @property
+    def grade_summary(self) -> GradeSummary | None:
+        """The grades of finished pairs, the median and the worst; None without pairs."""
+        pairs = list(self._record.pairs.values())
+        grades = [Grade(pair["grade"]) for pair in pairs]
+        errors = [math.nan if (x := pair["depth_error"]) is None else x for pair in pairs]
+        return GradeSummary.of(grades, errors) if pairs else None
+
+    @property
+    def median_error(self) -> float:
+        """Median of the expected relative errors of depth of finished pairs; NaN without depth."""
+        errors = self._record.errors
+        return errors[len(errors) // 2] if errors else math.nan
 
     @property
     def seconds(self) -> list[float]:

@@ -2,6 +2,7 @@
 
 import fnmatch
 import glob
+import math
 import os
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
@@ -19,6 +20,7 @@ from tisfm.focal_guess import at_size, guess_focal
 from tisfm.folders.result_folder import InputFiles, presence_file
 from tisfm.formats.float_maps import require_writable_flow
 from tisfm.interpretation import Interpretation
+from tisfm.reconstruction.result.calibration import read_calibration
 from tisfm.running.background import BackgroundThread
 from tisfm.running.pair_chunks import (
     Chunk,
@@ -205,7 +207,14 @@ class SequenceRun:
             inputs=InputFiles([*frames.files, *([] if self.poses is None else [self.poses])]),
             names=_possible_names(frames, self.folder),
             notes=frames.notes,
+            focal_deviation=self._focal_deviation(camera.focal),
         )
+
+    def _focal_deviation(self, focal: float) -> float:
+        """Return the relative standard deviation of the focal length; infinite for a guess."""
+        if isinstance(self.camera, Path):
+            return read_calibration(self.camera, focal).relative_focal_std
+        return math.inf if self.guess else 0.0
 
     def _remaining_chunk(
         self, source: PairSource, work: PairWork, frames: FrameSource, first: int, end: int

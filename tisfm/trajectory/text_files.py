@@ -202,7 +202,9 @@ def read_tum(path: str | os.PathLike[str]) -> Trajectory:
     return Trajectory(poses=poses, times=values[:, 0])
 
 
-def write_tum(path: str | os.PathLike[str], poses: ArrayLike, times: ArrayLike) -> None:
+def write_tum(
+    path: str | os.PathLike[str], poses: ArrayLike, times: ArrayLike, *, note: str = ""
+) -> None:
     """Write a text of eight numbers a line: time, s, position and quaternion, camera to world.
 
     Parameters
@@ -213,6 +215,8 @@ def write_tum(path: str | os.PathLike[str], poses: ArrayLike, times: ArrayLike) 
         Camera to world. A frame without a pose, NaN, has no line.
     times : array_like, shape (N,)
         Times of the frames, s, increasing. Numbers of frames may stand for unknown times.
+    note : str, optional
+        A text that is written as a comment, which readers skip.
 
     Raises
     ------
@@ -239,8 +243,9 @@ def write_tum(path: str | os.PathLike[str], poses: ArrayLike, times: ArrayLike) 
     quaternions[quaternions[:, 3] < 0] *= -1  # q and -q are one rotation: write qw ≥ 0
     rows = np.column_stack([checked_times[has_pose], matrices[:, :3, 3], quaternions])
     text = "".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist())
+    comment = f"# {' '.join(note.split())}\n" if note else ""
     with atomic_write(path) as file:
-        file.write((_HEADING + text).encode())
+        file.write((_HEADING + comment + text).encode())
 
 
 def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:

@@ -39,7 +39,7 @@ from tisfm.reconstruction.entry import (
     resolve_settings,
 )
 from tisfm.reconstruction.path.given_poses import poses_of_frames
-from tisfm.reconstruction.progress import DepthOf, FixedPixels, Progress
+from tisfm.reconstruction.progress import DepthOf, FixedPixels, Progress, ReportDepth
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.reconstruction.result.renewal import CHUNKS, refuse_other_files, renewed_locked_folder
@@ -212,7 +212,9 @@ class ChunkedRun:
         map_unordered: UnorderedMap,
         *,
         resume: bool = False,  # whether to keep complete chunks in the folder
-        progress: Progress | None = None,  # as for `tisfm.reconstruct`
+        # progress, report_depth: as for `tisfm.reconstruct`
+        progress: Progress | None = None,
+        report_depth: ReportDepth | None = None,
     ) -> Reconstruction:
         """Reconstruct the chunks and join them; chunks stay until `finish`.
 
@@ -244,6 +246,10 @@ class ChunkedRun:
             done = 0
             for number in complete_chunks(chunks, map_unordered):
                 done += chunks[number].span.count
+                if report_depth is not None:
+                    errors = Reconstruction.load(chunks[number].folder).depth_error
+                    for frame, error in enumerate(errors.tolist(), chunks[number].span.start):
+                        report_depth(frame, error)
                 report("depth", min(done, count), count)
             parts = [
                 ChunkResult.from_result(Reconstruction.load(chunk.folder), chunk.span, self._frames)

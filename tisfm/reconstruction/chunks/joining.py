@@ -19,9 +19,20 @@ from tisfm.reconstruction.chunks.chunk import Span
 from tisfm.reconstruction.chunks.overlaps import ChunkOverlap, overlap_sim3
 from tisfm.reconstruction.geometry.sim3 import sim3_scale, transform_pose
 from tisfm.reconstruction.geometry.sim3_graph import chain_sim3
-from tisfm.reconstruction.result.folder import CACHE, PICTURES, depth_path, write_record
+from tisfm.reconstruction.result.folder import (
+    CACHE,
+    PICTURES,
+    depth_path,
+    write_mask,
+    write_record,
+)
+from tisfm.reconstruction.result.path_check import PathCheck
 from tisfm.reconstruction.result.reconstruction import Reconstruction
-from tisfm.reconstruction.result.statuses import add_piece_note, remove_piece_note
+from tisfm.reconstruction.result.statuses import (
+    add_piece_note,
+    mark_contradicted,
+    remove_piece_note,
+)
 from tisfm.status import Status
 
 
@@ -227,13 +238,19 @@ def write_joined_result(
         )
     link_or_copy(camera.folder / CAMERA, folder / CAMERA)
     shutil.rmtree(folder / CACHE, ignore_errors=True)
+    masks = [mask for part in parts if (mask := part.result.mask) is not None]
+    if masks:
+        write_mask(folder, np.logical_or.reduce(masks))
     results = [parts[placement.part].result for placement in placements]
+    pieces = [placement.piece for placement in placements]
+    checks = _joined_checks(parts, placements)
     skipped = {index: reason for part in parts for index, reason in part.result.skipped}
     result = Reconstruction(
         poses=np.array([placement.pose for placement in placements]),
-        piece=np.array([placement.piece for placement in placements], np.int32),
-        unit=(1.0,) * (max(placement.piece for placement in placements) + 1),
-        status=tuple(_statuses(results, placements, missing)),
+        piece=np.array(pieces, np.int32),
+        unit=(1.0,) * (max(pieces) + 1),
+        status=mark_contradicted(_statuses(results, placements, missing), pieces, checks),
+        checks=checks,
         depth_error=_of_frames("depth_error", results, placements),
         depth_share=_of_frames("depth_share", results, placements),
         keyframes=tuple(
@@ -260,6 +277,26 @@ def write_joined_result(
     )
     write_record(folder, result)
     return result
+
+
+def _joined_checks(
+    parts: Sequence[ChunkResult], placements: Sequence[ChunkPlacement]
+) -> tuple[PathCheck, ...]:
+    """Return the checks of the joined pieces: those of all pieces of chunks that they consist of.
+
+    Pairs of frames get the numbers of the joined result.
+    """
+    indices = sorted({index for part in parts for index in part.frames})
+    joined_numbers = {index: number for number, index in enumerate(indices)}
+    checks: dict[int, dict[tuple[int, int], PathCheck]] = {}
+    for placement in placements:
+        part = parts[placement.part]
+        node = placement.part, int(part.result.piece[placement.number])
+        if placement.piece < 0 or node in checks.setdefault(placement.piece, {}):
+            continue
+        numbers = {number: joined_numbers[index] for index, number in part.frames.items()}
+        checks[placement.piece][node] = part.result.checks[node[1]].renumbered(numbers)
+    return tuple(PathCheck.joined(list(checks[piece].values())) for piece in sorted(checks))
 
 
 def _statuses(

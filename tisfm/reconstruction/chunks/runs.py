@@ -12,7 +12,7 @@ from tisfm.folders.result_folder import locked_folder
 from tisfm.reconstruction.chunks.entry import ChunkedRun
 from tisfm.reconstruction.chunks.shared_camera import UnorderedMap
 from tisfm.reconstruction.entry import reconstruct
-from tisfm.reconstruction.progress import Progress
+from tisfm.reconstruction.progress import Progress, ReportDepth
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.reconstruction.result.renewal import CHUNKS
 from tisfm.reconstruction.result.request import (
@@ -36,7 +36,9 @@ class ReconstructRun(Protocol):
     def is_done(self) -> bool:
         """Return whether the folder is complete; InputError if it has another reconstruction."""
 
-    def result(self, *, resume: bool, progress: Progress) -> Reconstruction:
+    def result(
+        self, *, resume: bool, progress: Progress, report_depth: ReportDepth
+    ) -> Reconstruction:
         """Compute the result."""
 
     def finish(self) -> None:
@@ -95,13 +97,16 @@ class WholeRun:
             refuse_differing_request(self._folder, chunks["asked"], self._request)
         return is_done(self._folder, self._request)
 
-    def result(self, *, resume: bool, progress: Progress) -> Reconstruction:
+    def result(
+        self, *, resume: bool, progress: Progress, report_depth: ReportDepth
+    ) -> Reconstruction:
         """Compute the result from the beginning."""
         runtime.start(self._arch, threads=self._threads)
         return reconstruct(
             self._source,
             folder=self._folder,
             progress=progress,
+            report_depth=report_depth,
             **self._options,
             **asdict(self._frames),
         )
@@ -150,10 +155,14 @@ class ChunksRun:
         """Return whether the folder is complete; InputError if it has another reconstruction."""
         return self._run.is_done()
 
-    def result(self, *, resume: bool, progress: Progress) -> Reconstruction:
+    def result(
+        self, *, resume: bool, progress: Progress, report_depth: ReportDepth
+    ) -> Reconstruction:
         """Compute the missing chunks, and join all chunks."""
         with _open_map(self._workers, self._cluster) as map_unordered:
-            return self._run.result(map_unordered, resume=resume, progress=progress)
+            return self._run.result(
+                map_unordered, resume=resume, progress=progress, report_depth=report_depth
+            )
 
     def finish(self) -> None:
         """Record that the folder is complete, and remove the chunks."""

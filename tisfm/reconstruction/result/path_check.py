@@ -1,6 +1,7 @@
 """Evidence for and against a camera path, and its limits."""
 
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -111,6 +112,9 @@ class PathCheck:
         Share of the texture that is fixed on the sensor.
     infinity_motion : float
         Motion of points at infinity, px of the frames: fixed texture is seen only if it is large.
+    parts : tuple of PathCheck
+        If chunks of frames were joined to the piece, the check of each chunk. If one of them
+        contradicts its part of the path, the whole piece is contradicted. Empty for one part.
 
     Examples
     --------
@@ -123,6 +127,7 @@ class PathCheck:
     pairs: tuple[PairEvidence, ...]
     fixed_share: float
     infinity_motion: float
+    parts: tuple["PathCheck", ...] = ()
 
     def median(self, name: str) -> float:
         """Return the median of a number over pairs; NaN without pairs."""
@@ -136,6 +141,7 @@ class PathCheck:
             "pairs": [asdict(pair) for pair in self.pairs],
             "fixed_share": self.fixed_share,
             "infinity_motion": self.infinity_motion,
+            "parts": [part.as_json() for part in self.parts],
         }
 
     @classmethod
@@ -145,7 +151,29 @@ class PathCheck:
             pairs=tuple(PairEvidence.from_json(pair) for pair in record["pairs"]),
             fixed_share=float(record["fixed_share"]),
             infinity_motion=float(record["infinity_motion"]),
+            parts=tuple(cls.from_json(part) for part in record.get("parts", ())),
         )
+
+    @classmethod
+    def joined(cls, parts: Sequence["PathCheck"]) -> "PathCheck":
+        """Return the check of a piece that consists of parts; at least one."""
+        if len(parts) == 1:
+            return parts[0]
+        most_fixed = max(parts, key=lambda part: part.fixed_share)
+        return cls(
+            pairs=tuple(pair for part in parts for pair in part.pairs),
+            fixed_share=most_fixed.fixed_share,
+            infinity_motion=most_fixed.infinity_motion,
+            parts=tuple(parts),
+        )
+
+    def renumbered(self, numbers: Mapping[int, int]) -> "PathCheck":
+        """Return the check with other numbers of frames."""
+        pairs = tuple(
+            replace(pair, first=numbers[pair.first], second=numbers[pair.second])
+            for pair in self.pairs
+        )
+        return replace(self, pairs=pairs)
 
     @property
     def zoom(self) -> tuple[float, float]:
@@ -161,6 +189,8 @@ class PathCheck:
     @property
     def objections(self) -> tuple[str, ...]:
         """Names of the checks whose evidence is beyond its limit."""
+        if self.parts:
+            return tuple(dict.fromkeys(name for part in self.parts for name in part.objections))
         found = []
         if self.pairs:
             direction, deviation = self.median("direction"), self.median("direction_deviation")
@@ -186,13 +216,24 @@ class PathCheck:
     @property
     def contradicts(self) -> bool:
         """Whether the checks contradict the path: zoom or fixed alone, or two of the others."""
+        if self.parts:
+            return any(part.contradicts for part in self.parts)
         return bool({"zoom", "fixed"} & set(self.objections)) or len(self.objections) > 1
+
+    @property
+    def span_text(self) -> str:
+        """The frames between which there is evidence, in words; "" without pairs."""
+        numbers = [number for pair in self.pairs for number in (pair.first, pair.second)]
+        return f", {min(numbers)} to {max(numbers)}" if numbers else ""
 
     @property
     def message(self) -> str:
         """The evidence that contradicts the path, and advice; "" if nothing does."""
         if not self.contradicts:
             return ""
+        if self.parts:
+            wrong_part = next(part for part in self.parts if part.contradicts)
+            return f"a chunk of the frames{wrong_part.span_text}: {wrong_part.message}"
         objections = self.objections
         if "fixed" in objections:
             return (

@@ -11,7 +11,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.errors import InputError, OutOfRangeError
-from tisfm.grade import Grade, GradeSummary, grade_depth
+from tisfm.grade import Grade, GradeSummary, grade_depth, warn_of_grades
 from tisfm.point_cloud import PointCloud
 from tisfm.reconstruction.result.calibration import GIVEN, Calibration
 from tisfm.reconstruction.result.folder import (
@@ -57,7 +57,7 @@ class Reconstruction:
         focal length, and is at most 1. NaN without depth.
     depth_share : (N,) float64
         Share of the pixels of each frame whose depth is expected to be off by at most 10 %,
-        masked pixels left out; 0 without depth. It does not include errors of the focal length.
+        masked pixels left out; 0 without depth.
     keyframes : tuple of int
         Frames whose depth was estimated from neighbour frames. The depth of all other frames is
         rendered from the keyframes; holes are filled up to image edges.
@@ -161,17 +161,25 @@ class Reconstruction:
         return tuple(self.grade(frame) for frame in range(len(self)))
 
     @property
+    def grade_summary(self) -> GradeSummary:
+        """The number of frames of each grade, the median and the worst, as a text and as numbers.
+
+        Frames whose depth was not requested do not count.
+        """
+        return summarise_grades(self.grades, self.status, self.depth_error.tolist())
+
+    @property
     def median_grade(self) -> Grade:
         """The grade in the middle, in the order from the best to the worst.
 
         Frames whose depth was not requested do not count.
         """
-        return self._grades.median
+        return self.grade_summary.median
 
     @property
     def worst_grade(self) -> Grade:
         """The worst grade. Frames whose depth was not requested do not count."""
-        return self._grades.worst
+        return self.grade_summary.worst
 
     def summary(self) -> str:
         """Return one paragraph: poses, pieces, focal length, grades, contradictions and advice.
@@ -183,11 +191,25 @@ class Reconstruction:
         >>> result.summary()[:42]
         '9 of 9 frames have a pose, in 1 piece. The'
         """
-        return summarise(self.piece, self.status, self._grades, self.camera, self.calibration)
+        return summarise(self.piece, self.status, self.grade_summary, self.camera, self.calibration)
 
-    @property
-    def _grades(self) -> GradeSummary:
-        return summarise_grades(self.grades, self.status, self.depth_error.tolist())
+    def warning(self, frames: Iterable[int] | None = None) -> str:
+        """Return a warning of contradicted frames, or else of poor depth; "" without such frames.
+
+        Exports carry it where their format has room for a text.
+
+        Parameters
+        ----------
+        frames : iterable of int, optional
+            By default all frames.
+
+        Examples
+        --------
+        >>> import tisfm
+        >>> tisfm.Reconstruction.load("walk").warning()  # nothing to warn of
+        ''
+        """
+        return warn_of_grades(self.grades, self.status, self.depth_error.tolist(), frames)
 
     def inverse_depth(self, frame: int) -> np.ndarray:
         """Return the inverse depth of a frame, (H, W) float32, 1/unit of the poses.
@@ -289,7 +311,8 @@ class Reconstruction:
 
         views = self._views(frames)
         count = min(agreeing, max(1, len(views)))
-        return fused_points(views, agreeing=count, max_relative_std=max_relative_std, voxel=voxel)
+        points = fused_points(views, agreeing=count, max_relative_std=max_relative_std, voxel=voxel)
+        return replace(points, note=self.warning(views.frames))
 
     def mesh(
         self,
@@ -339,13 +362,14 @@ class Reconstruction:
 
         views = self._views(frames)
         count = min(agreeing, max(1, len(views)))
-        return fused_mesh(
+        surface = fused_mesh(
             views,
             agreeing=count,
             max_relative_std=max_relative_std,
             voxel=voxel,
             truncation=truncation,
         )
+        return replace(surface, note=self.warning(views.frames))
 
     def rescaled(self, frame0: int, frame1: int, distance: float) -> "Reconstruction":
         """Return the result in a unit in which the camera moved by `distance` between two frames.
@@ -464,15 +488,15 @@ class _Views(Sequence["DepthView"]):
     """Frames for fusion, read on demand."""
 
     def __init__(self, result: Reconstruction, frames: list[int]) -> None:
-        self._result, self._frames = result, frames
+        self._result, self.frames = result, frames
 
     def __len__(self) -> int:
-        return len(self._frames)
+        return len(self.frames)
 
     def __getitem__(self, index: Any) -> Any:
         from tisfm.fusion import DepthView
 
-        frame, result = self._frames[index], self._result
+        frame, result = self.frames[index], self._result
         inverse_depth, deviation = result._depth_of(frame)
         return DepthView(
             inverse_depth=inverse_depth,
