@@ -94,4 +94,4 @@ def test_summary_of_grades():
         "fair, worst no pose; depth is expected to be off by 5 % (median), 7 % (worst)"
     )
     assert summary.counts_text == "1 good, 2 fair, 1 no pose"
-    assert GradeSummary.of(grades[3:], [np.nan]).text == "no pose"
+    assert GradeSummary.of(grades[3:]).text == "no pose"

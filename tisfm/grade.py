@@ -137,15 +137,20 @@ class GradeSummary:
     counts: Mapping[Grade, int]  # by grade, the best first; only grades that occur
     median: Grade
     worst: Grade
-    # expected relative errors of depth, over the frames with depth; NaN without depth
+    # expected relative errors of depth, over frames with depth that nothing contradicts; NaN if
+    # there are none
     median_error: float
     worst_error: float
 
     @classmethod
-    def of(cls, grades: Sequence[Grade], errors: Sequence[float]) -> "GradeSummary":
+    def of(cls, grades: Sequence[Grade], errors: Sequence[float] | None = None) -> "GradeSummary":
         """Return the summary of grades and expected errors, one for each frame; at least one."""
         ordered = sorted(grades, key=lambda grade: grade.rank)
-        known_errors = [error for error in errors if not np.isnan(error)]
+        known_errors = [
+            error
+            for grade, error in zip(grades, errors or [np.nan] * len(grades), strict=True)
+            if grade != Grade.CONTRADICTED and not np.isnan(error)
+        ]
         return cls(
             counts=Counter(ordered),
             median=ordered[len(ordered) // 2],
@@ -194,6 +199,13 @@ def warn_of_grades(
         text = f", expected to be off by up to {percent(max(known_errors))}" if known_errors else ""
         return f"Grade poor, depth of {len(rough)} of {len(chosen)} frames{text}"
     return ""
+
+
+def describe_grade(grade: Grade, error: float) -> str:
+    """Return the word of a grade, with the expected relative error of depth if it is known."""
+    if grade == Grade.CONTRADICTED or np.isnan(error):
+        return str(grade)
+    return f"{grade}, off by {percent(error)}"
 
 
 def percent(share: float) -> str:

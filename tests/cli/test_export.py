@@ -15,6 +15,7 @@ from tests.exports.runs import run_of
 from tisfm.cli import export
 from tisfm.exports.formats import FORMATS
 from tisfm.reconstruction.result.folder import write_record
+from tisfm.status import Status
 from tisfm.trajectory import read_tum
 
 LENS = tisfm.Camera(40.0, distortion=(-0.1, 0.0, 0.0, 0.0))
@@ -297,3 +298,14 @@ def test_long_work_is_announced(tisfm_run, work_folder, monkeypatch):
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage._replace(free=5))
     code, _, err = tisfm_run("export", "walk", "--to", "depth-tiff", "-o", "out")
     assert code == 0 and "but 0 MB are free: choose frames with --start, --stop, --step" in err
+
+
+def test_an_export_of_a_contradicted_result_warns(tisfm_run, tmp_path):
+    result = made(tmp_path / "made", count=3)
+    wrong = Status("contradicted", "the zoom changes: give a mask")
+    write_record(result.folder, replace(result, status=(wrong,) * 3))
+    code, _, err = tisfm_run("export", "made", "--to", "kitti", "-o", "out")
+    assert code == 0
+    (line,) = (line for line in err.splitlines() if "warning" in line)
+    assert "Grade contradicted, 3 of 3 frames" in line and wrong.message in line
+    assert names(tmp_path / "out") == ["grade.txt", "poses.kitti", "poses.times"]

@@ -99,7 +99,7 @@ def test_a_record_of_another_format_is_refused_everywhere(tisfm_run, frames):
     assert tisfm_run(*PLAIN, "--flo")[0] == 0
     path = Path("out", "run.json")
     about = json.loads(path.read_text())
-    assert about.pop("format") == 2
+    assert about.pop("format") == 3
     del about["source"]
     path.write_text(json.dumps(about))
     for call in (
@@ -108,7 +108,7 @@ def test_a_record_of_another_format_is_refused_everywhere(tisfm_run, frames):
         ("export", "out", "--to", "depth-tiff", "-o", "o"),
     ):
         code, _, err = tisfm_run(*call)
-        assert_one_line(code, err, "run.json is of format 1", "reads format 2: run anew")
+        assert_one_line(code, err, "run.json is of format 1", "reads format 3: run anew")
     with pytest.raises(FormatError, match=r"format 1, .*run anew"):
         open_result(Path("out"))
     assert tisfm_run(*PLAIN)[0] == 0

@@ -48,6 +48,8 @@ def run_of(folder, *, scales=(1.0, 1.0, 1.0), posed=False, motion="camera", came
             "number": k,
             "status": "converged",
             "message": "",
+            "grade": "good",
+            "depth_error": 0.02,
             "motions": motion_rows(result, pose=pose).tolist(),
             "twists": result.motions.tolist(),
             "frames": "",

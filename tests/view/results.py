@@ -146,6 +146,8 @@ def write_record_of(folder, shot, numbers, motion, *, with_poses=False, files=("
             "number": k,
             "status": "converged",
             "message": "it is well",
+            "grade": "good",
+            "depth_error": 0.02,
             "times": [0.1 * k, 0.1 * k + 0.1],
             "motions": None if twists is None else [rows_of(shot, k, with_poses)],
             "twists": twists,

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.view.test_cloud import made
+from tisfm.grade import Grade
 from tisfm.results.result_frames import FrameCache
 from tisfm.show import label_colors
 from tisfm.status import Status
@@ -123,6 +124,7 @@ class Frames:
 
     def __init__(self, count):
         self.names, self.read_ones = [f"<a>{k}" for k in range(count)], []
+        self.grades, self.depth_errors = [Grade.FAIR] * count, [0.05] * count
         self.times, self.has_one_scale, self.piece = [0.5] * count, True, np.full(count, -1)
 
     def read(self, number):
@@ -170,7 +172,7 @@ def test_texts_escape_names_and_tell_faults():
     frame = full(status=Status("uncertain", "move <more>"))
     text = status_html(Frames(3), frame, 1)
     assert "&lt;a&gt;1" in text and "move &lt;more&gt;" in text and "no pose" in text
-    assert "2 of 3" in text and "0.500 s" in text
+    assert "2 of 3" in text and "0.500 s" in text and "fair, off by 5 %" in text
     assert "it is gone" in status_html(Frames(3), None, 1, "it is gone")
 
 

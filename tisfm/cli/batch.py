@@ -2,7 +2,9 @@
 
 import csv
 import os
+import re
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,10 +12,11 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from tisfm.cli.command_line import parse_command
-from tisfm.cli.console import tell
+from tisfm.cli.console import tell_grade
 from tisfm.cli.parsing import WrongOptionError
 from tisfm.cli.progress import TimeEstimate, progress_bar
 from tisfm.errors import InputError
+from tisfm.grade import Grade, GradeSummary
 from tisfm.running.commands import CommandProcesses
 from tisfm.threads import usable_cores
 
@@ -125,6 +128,7 @@ def batch(options: Batch) -> int:
         except ValueError as error:
             raise InputError(f"{path}, line {job.line}: {error}") from error
     failed_count = 0
+    grades: list[Grade] = []
     with progress_bar() as progress, CommandProcesses(workers) as processes:
         task = progress.add_task(path.name, total=len(jobs))
         futures = [
@@ -138,11 +142,25 @@ def batch(options: Batch) -> int:
             failed_count += outcome.exit_code != 0
             message = outcome.message or f"exit code {outcome.exit_code}"
             for line in (message, *outcome.notes):
-                tell(f"{job.output}: {line}")
-            progress.advance(task)
+                tell_grade(f"{job.output}: {line}")
+            if (grade := _median_grade(message)) is not None:
+                grades.append(grade)
+            progress.update(task, advance=1, description=f"{path.name}{_grades_text(grades)}")
     count = len(jobs) - failed_count
-    tell(f"{count} of {len(jobs)} done" + (f", {failed_count} failed" if failed_count else ""))
+    failures = f", {failed_count} failed" if failed_count else ""
+    tell_grade(f"{count} of {len(jobs)} done{failures}{_grades_text(grades)}")
     return 1 if failed_count else 0
+
+
+def _median_grade(message: str) -> Grade | None:
+    """Return the median grade of a result, from the closing line of its command."""
+    found = re.search(rf"Grade ({'|'.join(Grade)})", message)
+    return Grade(found.group(1)) if found else None
+
+
+def _grades_text(grades: Sequence[Grade]) -> str:
+    """Return the median and the worst of the grades of results in words; "" without grades."""
+    return f". Grade {GradeSummary.of(grades).text}" if grades else ""
 
 
 def _check_arguments(arguments: list[str]) -> None:

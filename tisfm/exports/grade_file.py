@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tisfm.formats import atomic_write
-from tisfm.grade import GradeSummary, warn_of_grades
+from tisfm.grade import Grade, GradeSummary, warn_of_grades
 from tisfm.results.result_frames import ResultFrames
 
 GRADES = "grade.txt"
@@ -34,7 +34,8 @@ def write_grades(frames: ResultFrames, folder: Path, chosen: Sequence[int]) -> s
     lines.append("# frame; grade; expected relative error of depth; name")
     for frame in chosen:
         error = frames.depth_errors[frame]
-        error_text = "unknown" if math.isnan(error) else f"{error:.4g}"
+        is_known = not math.isnan(error) and frames.grades[frame] != Grade.CONTRADICTED
+        error_text = f"{error:.4g}" if is_known else "unknown"
         lines.append(f"{frame}; {frames.grades[frame]}; {error_text}; {frames.names[frame]}")
     with atomic_write(path) as file:
         file.write("".join(f"{line}\n" for line in lines).encode("utf-8", "backslashreplace"))

@@ -2,8 +2,8 @@
 
 Here: the contents of a report, its pictures and drawings, the meaning of statuses, and the page.
 May import: `tisfm.folders`, `tisfm.formats`, `tisfm.reconstruction`, `tisfm.results`, `tisfm.show`,
-`tisfm.templates`, and of the top level `focal_guess`, `interpretation`, `status`, `settings` and
-`version`.
+`tisfm.templates`, and of the top level `focal_guess`, `grade`, `interpretation`, `status`,
+`settings` and `version`.
 """
 
 from tisfm.folders.files import REPORT, is_report

@@ -38,6 +38,7 @@ class Slide:
     name: str
     number: int
     status: str
+    grade: str
     message: str
     shape: tuple[int, int]
     pictures: Sequence[Picture]
@@ -60,6 +61,9 @@ class Report:
     # sequence of (float, float, str): consecutive frames with one status: begin and end as shares
     # of the sequence, and the code
     spans: Sequence[tuple[float, float, str]]
+    # (word, count, meaning) of the grades that occur, the best first
+    grades: Sequence[tuple[str, int, str]]
+    grade_spans: Sequence[tuple[float, float, str]]  # as `spans`, with the words of grades
     unit: str  # the counted items: "frame" or "pair"
     drawing: Markup  # paths or curves as ``svg`` elements; empty without paths or curves
     drawing_title: str

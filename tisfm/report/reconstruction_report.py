@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tisfm.grade import Grade, percent
 from tisfm.reconstruction.result.calibration import describe_focal
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.report.drawings import MAX_PIECES, path_drawing
@@ -16,7 +17,14 @@ from tisfm.report.pictures import (
     deviation_legend,
     flow_legend,
 )
-from tisfm.report.tables import count_statuses, nearest_preset, setting_rows, shorten, status_spans
+from tisfm.report.tables import (
+    count_grades,
+    count_statuses,
+    nearest_preset,
+    setting_rows,
+    shorten,
+    status_spans,
+)
 from tisfm.results.frame import ResultFrame
 from tisfm.results.sequence_frames import SequenceFrames
 from tisfm.show import (
@@ -71,6 +79,8 @@ def _report(result: Reconstruction, folder: Path, source: str | None) -> Report:
         kind="A sequence, reconstructed by tisfm reconstruct",
         summary=_summary(result, folder, source),
         statuses=counts,
+        grades=count_grades(result.grades),
+        grade_spans=status_spans([str(grade) for grade in result.grades]),
         spans=status_spans([str(status) for status in result.status]),
         unit="frame",
         drawing=path_drawing(result.poses, result.piece),
@@ -124,6 +134,7 @@ def _summary(result: Reconstruction, folder: Path, source: str | None) -> list[t
         ("With a pose", f"{pose_count} of {len(result)}"),
         ("Pieces", f"{len(sizes)}" + (f" ({_sizes_text(sizes)} frames)" if len(sizes) > 1 else "")),
         ("Keyframes", str(len(result.keyframes))),
+        ("Grade", result.grade_summary.text),
         ("Preset", nearest_preset(result.settings)),
         ("Motion", result.settings.motion),
         ("Focal length", f"{focal}, {calibration.origin}"),
@@ -194,11 +205,15 @@ def _slide(
     frame_note = f"piece {piece}" if piece >= 0 else "no pose"
     if number in result.keyframes:
         frame_note += ", keyframe"
+    error = float(result.depth_error[number])
+    if result.grade(number).is_green or result.grade(number) == Grade.POOR:
+        frame_note += f", depth is expected to be off by {percent(error)}"
     advice = "" if status == "converged" and not status.message else shorten(status.message)
     return Slide(
         name=result.names[number],
         number=number,
         status=str(status),
+        grade=str(result.grade(number)),
         shape=result.shape,
         message=f"{frame_note}. {advice}".strip(),
         pictures=slide_pictures,

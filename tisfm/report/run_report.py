@@ -9,6 +9,7 @@ import numpy as np
 
 from tisfm.errors import InputError
 from tisfm.focal_guess import at_size
+from tisfm.grade import Grade, GradeSummary
 from tisfm.interpretation import Interpretation
 from tisfm.report.drawings import curves_drawing
 from tisfm.report.page import Picture, Report, Slide, check_report, write_report
@@ -19,7 +20,14 @@ from tisfm.report.pictures import (
     depth_legend,
     flow_legend,
 )
-from tisfm.report.tables import count_statuses, nearest_preset, setting_rows, shorten, status_spans
+from tisfm.report.tables import (
+    count_grades,
+    count_statuses,
+    nearest_preset,
+    setting_rows,
+    shorten,
+    status_spans,
+)
 from tisfm.results.frame import mean_inverse_depth
 from tisfm.settings import Settings
 from tisfm.show import (
@@ -60,6 +68,8 @@ class _Pair:
     name: str
     number: int
     status: Status
+    grade: Grade
+    depth_error: float | None
     speed: float | None
     confidence: float | None
     occluded: float | None
@@ -89,6 +99,8 @@ def _read(folder: Path, record: Mapping[str, Any]) -> _Run:
                 name=str(name),
                 number=int(pair["number"]),
                 status=Status(pair["status"], pair["message"]),
+                grade=Grade(pair.get("grade", Grade.POOR)),
+                depth_error=_float_or_none(pair.get("depth_error")),
                 speed=_float_or_none(pair.get("speed")),
                 confidence=_float_or_none(pair.get("confidence")),
                 occluded=_float_or_none(pair.get("occluded")),
@@ -139,6 +151,8 @@ def _report(folder: Path, run: _Run, source: str | None) -> Report:
         kind="Pairs of frames, interpreted by tisfm run",
         summary=_summary(folder, run, shape, source),
         statuses=counts,
+        grades=count_grades([pair.grade for pair in run.pairs]),
+        grade_spans=status_spans([str(pair.grade) for pair in run.pairs]),
         spans=status_spans(codes),
         unit="pair",
         drawing=curves_drawing(
@@ -170,6 +184,7 @@ def _summary(
         ("Folder", folder.resolve().name),
         ("Pairs", str(count)),
         ("Converged", f"{converged_count} of {count}"),
+        *([("Grade", _grade_text(run.pairs))] if run.pairs else []),
         *([("Frames", f"{shape[1]} × {shape[0]} px")] if shape else []),
         ("Preset", nearest_preset(run.settings)),
         ("Motion", run.settings.motion),
@@ -178,6 +193,11 @@ def _summary(
         ("Kernels ran on", run.arch),
         ("Version", run.version),
     ]
+
+
+def _grade_text(pairs: Sequence[_Pair]) -> str:
+    errors = [np.nan if pair.depth_error is None else pair.depth_error for pair in pairs]
+    return GradeSummary.of([pair.grade for pair in pairs], errors).text
 
 
 def _slides(
@@ -223,6 +243,7 @@ def _slides(
                 name=pair.name,
                 number=pair.number,
                 status=str(pair.status),
+                grade=str(pair.grade),
                 shape=result.flow.shape[:2],
                 message="" if pair.status == "converged" else shorten(pair.status.message),
                 pictures=images,

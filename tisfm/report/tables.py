@@ -6,6 +6,8 @@ from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any, get_args
 
+from tisfm.grade import COLORS as GRADE_COLORS
+from tisfm.grade import Grade
 from tisfm.settings import Preset, Settings
 from tisfm.status import UNKNOWN_STATUS_ADVICE, Status
 
@@ -25,6 +27,14 @@ MEANINGS = {
     "pose_mismatch": "The given pose contradicts the images.",
     "contradicted": "The image motion contradicts the path: pose and depth are probably wrong.",
     "diverged": "The iterations diverged: the result is useless.",
+}
+GRADE_MEANINGS = {
+    "good": "Half of the depth is expected to be off by at most 3 %.",
+    "fair": "Half of the depth is expected to be off by at most 10 %.",
+    "poor": "The depth is expected to be off by more than 10 %, or by an unknown amount.",
+    "no depth": "There is a pose, and no depth.",
+    "no pose": "There is neither pose nor depth.",
+    "contradicted": "The images contradict the pose or the depth.",
 }
 # Colours of Okabe and Ito: people with a colour vision deficiency can distinguish them.
 _COLORS = {
@@ -56,8 +66,18 @@ class StatusCount:
 
 
 def status_color(code: str) -> str:
-    """Return the colour of a status."""
-    return _COLORS.get(code, _FAILURE_COLOR)
+    """Return the colour of a status or of the word of a grade."""
+    return (_COLORS | GRADE_COLORS).get(code, _FAILURE_COLOR)
+
+
+def count_grades(grades: Sequence[Grade]) -> list[tuple[str, int, str]]:
+    """Return word, count and meaning of the grades that occur, the best first."""
+    counts = Counter(grades)
+    return [
+        (str(grade), counts[grade], GRADE_MEANINGS[str(grade)])
+        for grade in Grade
+        if grade in counts
+    ]
 
 
 def count_statuses(

@@ -3,5 +3,5 @@
 Here: points, colours and pictures of frames, and the page that shows them.
 May import: `tisfm.exports` (the video of a fly-through), `tisfm.formats`, `tisfm.reconstruction`
 (pictures of a running command), `tisfm.results`, `tisfm.show`, `tisfm.templates`, and of the top
-level `status`.
+level `grade` and `status`.
 """

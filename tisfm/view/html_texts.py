@@ -11,6 +11,7 @@ import numpy as np
 from markupsafe import Markup
 
 from tisfm.errors import InputTypeError
+from tisfm.grade import COLORS, describe_grade
 from tisfm.results.frame import PixelReading, ResultFrame
 from tisfm.results.result_frames import ResultFrames
 from tisfm.status import STATUSES, UNKNOWN_STATUS_ADVICE
@@ -67,8 +68,10 @@ def outside_html(row: int, column: int, shape: tuple[int, int]) -> Markup:
 def status_html(
     result: ResultFrames, frame: ResultFrame | None, number: int, fault: str = ""
 ) -> Markup:
-    """Return name, number, time and status of a frame, with advice or the reason of a fault."""
+    """Return name, number, time, grade and status of a frame, with advice or a fault's reason."""
     lines = [f", {number + 1} of {len(result.names)}"]
+    grade, error = result.grades[number], result.depth_errors[number]
+    badge = describe_grade(grade, error)
     time = result.times[number]
     if time is not None:
         lines.append(f"{time:.3f} s")
@@ -83,7 +86,7 @@ def status_html(
             lines.append(status.message)
         if result.has_one_scale and result.piece[number] < 0:
             lines.append("it has no pose: it is shown at the origin")
-    return _lines("status", lines, bold=result.names[number])
+    return macro(_TEMPLATE, "status", lines, result.names[number], badge, COLORS[str(grade)])
 
 
 def note_html(text: str) -> Markup:

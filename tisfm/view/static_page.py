@@ -6,6 +6,7 @@ import numpy as np
 from markupsafe import Markup
 
 from tisfm.errors import InputError
+from tisfm.grade import GradeSummary
 from tisfm.results.frame import ResultFrame
 from tisfm.results.result_frames import ResultFrames
 from tisfm.view.colors import Quantity, Ranges, legend_of_result, object_labels
@@ -90,6 +91,8 @@ def static_page(
 def _caption(result: ResultFrames, shown_count: int, unread: list[str]) -> str:
     """Return name and number of frames, and which frames could not be read."""
     text = f"{result.folder.resolve().name}: {shown_count} of {len(result.names)} frames"
+    if result.names:
+        text += f". Grade {GradeSummary.of(result.grades, result.depth_errors).text}"
     if unread:
         others = f" and {len(unread) - 1} more" if len(unread) > 1 else ""
         text += f". Left out, as it cannot be read: {unread[0]}{others}"

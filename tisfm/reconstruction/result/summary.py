@@ -41,7 +41,8 @@ def summarise(
         calibration.focal or camera.focal, calibration.focal_std, calibration.shape
     )
     sentences.append(f"The focal length is {focal}, {calibration.origin}.")
-    sentences.append(f"Grade: {grades.text} ({grades.counts_text}).")
+    counts = f" ({grades.counts_text})" if len(grades.counts) > 1 else ""
+    sentences.append(f"Grade {grades.text}{counts}.")
     for code in dict.fromkeys(str(status) for status in statuses if status != "converged"):
         same = [status for status in statuses if status == code]
         message = f": {same[0].message}" if same[0].message else ""
