@@ -31,7 +31,7 @@ def test_a_bad_video_stops_no_other(tisfm_run, frames, jobs):
     first, second, last = err.splitlines()
     assert first.startswith("bad: ") and "gone" in first
     assert second.startswith("a b: 3 pairs: ")
-    assert last == "1 of 2 done, 1 failed"
+    assert last == "1 of 2 done, 1 failed. Grade poor"
     assert not Path("bad").exists()
     alone = ("run", "frames", "-o", "alone", "--preset", "fast", "--figures", "0", "--ply")
     assert tisfm_run(*alone)[0] == 0

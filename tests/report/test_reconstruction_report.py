@@ -83,7 +83,7 @@ def test_long_sequences_and_large_frames_stay_small(tmp_path, shape):
     page = Read(path)
     slides = page.all("div", _class="slide")
     assert 40 < len(slides) <= 48 and f"{len(slides)} of 90 frames" in page.text
-    assert "number 77 uncertain" in page.text  # the one that is not like the others
+    assert "number 77 poor uncertain" in page.text  # the one that is not like the others
 
 
 def test_embedded_images_stay_within_their_budget():

@@ -53,6 +53,8 @@ def write_reconstruction(folder, count=5, *, changes=None, things=False):
         "times": tuple(0.1 * k for k in range(count)),
         "shape": (HEIGHT, WIDTH),
         "folder": folder,
+        "depth_error": np.full(count, 0.02),
+        "depth_share": np.ones(count),
         "version": tisfm.__version__,
         "objects": (thing(count),) if things else (),
     }

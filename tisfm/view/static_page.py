@@ -91,11 +91,11 @@ def static_page(
 def _caption(result: ResultFrames, shown_count: int, unread: list[str]) -> str:
     """Return name and number of frames, and which frames could not be read."""
     text = f"{result.folder.resolve().name}: {shown_count} of {len(result.names)} frames"
-    if result.names:
-        text += f". Grade {GradeSummary.of(result.grades, result.depth_errors).text}"
     if unread:
         others = f" and {len(unread) - 1} more" if len(unread) > 1 else ""
         text += f". Left out, as it cannot be read: {unread[0]}{others}"
+    if result.names:
+        text += f". Grade {GradeSummary.of(result.grades, result.depth_errors).text}"
     return text
 
 
