@@ -235,7 +235,8 @@ def test_deviation_is_a_share_of_the_spread_of_the_parts(monkeypatch, spread):
         monkeypatch.setattr(self_calibration, name, answer)
     found = self_calibration._estimate_focal(None, Camera(), SIZE, "radial")
     share = self_calibration.CALIBRATION.spread_to_deviation
-    assert found.deviation == pytest.approx(100 * share * spread)
+    shared = self_calibration.CALIBRATION.shared_deviation
+    assert found.deviation == pytest.approx(100 * math.hypot(share * spread, shared))
     assert found.radial_deviation == pytest.approx(share * 0.002)
 
 

@@ -141,7 +141,7 @@ def _estimate_focal(
     log_change = 0.0 if calibrate == "radial" else _log_focal_change(model)
     return FocalEstimate(
         focal=focal,
-        deviation=focal * math.hypot(deviation, log_change),
+        deviation=focal * math.hypot(deviation, log_change, CALIBRATION.shared_deviation),
         radial=radial,
         radial_deviation=float(radial_deviation),
         shows_distortion=abs(log_change) > max(CALIBRATION.min_log_focal_change, deviation),
