@@ -80,6 +80,7 @@ def describe(case: Case) -> dict[str, Any]:
         "clean": case.is_clean,
         "flag due": case.kind == "pan",
         "half": case.half,
+        "real": case.clip is not None,
     }
 
 

@@ -291,6 +291,26 @@ def _depth_error(depth: NDArray, truth: NDArray | None) -> float | None:
     return float(np.median(np.abs(ratio / np.median(ratio) - 1)))
 
 
+def coverage(
+    inverse_depth: NDArray,  # (H, W)
+    deviation: NDArray,  # (H, W): its standard deviation
+    truth: NDArray | None,  # (H, W): true depth
+) -> tuple[float, float] | None:
+    """Return the shares of pixels that are off by at most one and at most two deviations.
+
+    Inverse depth is scaled by the median ratio first. None for too few pixels.
+    """
+    if truth is None:
+        return None
+    known = np.isfinite(truth) & (truth > 0) & (inverse_depth > 0) & np.isfinite(deviation)
+    if known.sum() < MIN_PIXELS:
+        return None
+    ours, true = inverse_depth[known], 1 / truth[known]
+    scale = np.median(true / ours)
+    deviations = np.abs(ours * scale - true) / (deviation[known] * scale)
+    return float((deviations <= 1).mean()), float((deviations <= 2).mean())
+
+
 def _median_depth(maps: Sequence[NDArray | None]) -> float | None:
     values = [np.nanmedian(m) for m in maps if m is not None and np.isfinite(m).any()]
     return float(np.median(values)) if values else None

@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+
 from bench.shared.results import EMPTY_CELL, Table, cell, markdown_page
 from bench.trust.judge import (
     MAX_DEPTH,
@@ -147,6 +149,44 @@ def case_table(records: Sequence[Record]) -> Table:
     return Table(head, rows, text_columns=7)
 
 
+def deviation_table(records: Sequence[Record]) -> Table:
+    """Return how often the stated deviations hold, in results that are not wrong."""
+    rows = []
+    for title, is_real in (("rendered", False), ("real", True)):
+        for half in ("A", "B"):
+            chosen = [
+                record
+                for record in records
+                if record["half"] == half
+                and record.get("real") == is_real
+                and record["task"] == "sequence"
+                and record["outcome"].startswith("right")
+            ]
+            depth = [record["within"] for record in chosen if record.get("within")]
+            focal = [
+                abs(record["focal"] - record["true focal"]) / record["focal deviation"]
+                for record in chosen
+                if record.get("focal deviation")
+            ]
+            cells = [_percent(float(np.median(part)), 0) for part in zip(*depth, strict=True)]
+            shares = [sum(z <= k for z in focal) for k in (1, 2)]
+            rows.append(
+                [
+                    f"{title}, {half}",
+                    str(len(depth)),
+                    *(cells or [EMPTY_CELL] * 2),
+                    str(len(focal)),
+                    *(str(share) for share in shares),
+                    cell(max(focal, default=None), ".1f"),
+                ]
+            )
+    head = [
+        "", "depth: films", "within 1σ, %", "2σ, %", "focal length: films", "within 1σ", "2σ",
+        "largest, σ",
+    ]  # fmt: skip
+    return Table(head, rows)
+
+
 def _worst_piece(record: Record) -> Mapping[str, Any]:
     """Return the wrong piece with the most frames, or else the largest piece."""
     pieces = record.get("pieces", ())
@@ -199,6 +239,11 @@ def report(records: Sequence[Record], conditions: Mapping[str, Any], missing: Se
         "farthest from being found; beyond: pieces beyond the limit. No check finds everything: "
         "each is for a cause.",
         margin_table(judged),
+        "## Deviations",
+        "Of sequences that are not wrong: the share of pixels whose inverse depth is off by at "
+        "most one and two of its standard deviations, the median over films, each frame in its "
+        "own scale; and the number of estimated focal lengths that are off by as much.",
+        deviation_table(judged),
     ]
     for task in ("sequence", "pair"):
         chosen = [record for record in judged if record["task"] == task]

@@ -9,6 +9,7 @@ import os
 import sys
 import time
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 import tisfm
 from bench.trust.cases import FOCALS, SMALL, Case, Clip, all_cases, smoke_cases
 from bench.trust.films import render_film
-from bench.trust.judge import judge_pair, judge_sequence
+from bench.trust.judge import coverage, judge_pair, judge_sequence
 from bench.trust.worlds import FRAMES, HEIGHT, WIDTH
 from tisfm.camera import Camera
 from tisfm.datasets import LoadedSequence, find_sequences
@@ -47,7 +48,7 @@ def run_sequence(case: Case, data: Path | None, *, is_smoke: bool) -> dict[str, 
     result, seconds = _reconstruct(film.frames, given_camera(true, case.focal))
     maps = [_on_pixels_of(result, d, None) for d in film.depth]
     verdict = judge_sequence(result, film.poses, maps)
-    return verdict | _about(result, true.focal, seconds)
+    return verdict | _about(result, true.focal, seconds) | _coverage(result, maps)
 
 
 def _run_clip(case: Case, clip: Clip, data: Path) -> dict[str, Any]:
@@ -65,7 +66,8 @@ def _run_clip(case: Case, clip: Clip, data: Path) -> dict[str, Any]:
     poses = loaded.poses if loaded.posed.all() else None
     verdict = judge_sequence(result, poses, maps)
     shrunk = max(result.shape) / max(read_image(loaded.frames[0]).shape)
-    return verdict | _about(result, loaded.camera.focal * shrunk, seconds)
+    about = _about(result, loaded.camera.focal * shrunk, seconds)
+    return verdict | about | _coverage(result, maps)
 
 
 def run_pair(case: Case, data: Path | None, *, is_smoke: bool) -> dict[str, Any]:
@@ -110,10 +112,12 @@ def _reconstruct(
 def _about(result: tisfm.Reconstruction, true: float, seconds: float) -> dict[str, Any]:
     """Return what the result says of the camera, and the processor time."""
     calibration = result.calibration
+    deviation = calibration.relative_focal_std
     mask = result.mask
     return {
         "focal": result.camera.focal,
         "true focal": true,
+        "focal deviation": result.camera.focal * deviation if np.isfinite(deviation) else None,
         "focal origin": calibration.origin,
         "focal seen": calibration.seen,
         "radial": calibration.radial,
@@ -121,6 +125,18 @@ def _about(result: tisfm.Reconstruction, true: float, seconds: float) -> dict[st
         "masked": 0.0 if mask is None else float(mask.mean()),
         "seconds": round(seconds, 2),
     }
+
+
+def _coverage(
+    result: tisfm.Reconstruction, maps: Sequence[NDArray | None]
+) -> dict[str, list[float]]:
+    """Return the mean shares of pixels within one and two deviations of their depth."""
+    shares = [
+        found
+        for index, truth in enumerate(maps)
+        if (found := coverage(result.inverse_depth(index), result.inverse_depth_std(index), truth))
+    ]
+    return {"within": np.mean(shares, axis=0).tolist()} if shares else {}
 
 
 def given_camera(true: Camera, focal: str) -> Camera | None:

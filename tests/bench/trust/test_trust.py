@@ -183,3 +183,24 @@ def test_numbers_of_a_check():
     numbers = judge.check_numbers(check)
     assert numbers["excess"] == pytest.approx(0.2) and numbers["rank"] == 0.5
     assert numbers["fixed_share"] == 0.25 and numbers["objections"] == ["excess"]
+
+
+def test_coverage_counts_pixels_within_their_deviations():
+    true = np.full((10, 20), 4.0)
+    inverse_depth = np.full((10, 20), 2 * 0.25)  # in another unit
+    inverse_depth[:, :4] *= 1.03
+    inverse_depth[:, 4:6] *= 1.3
+    shares = judge.coverage(inverse_depth, np.full((10, 20), 0.01), true)
+    assert shares == pytest.approx((0.7, 0.9))
+    assert judge.coverage(inverse_depth, np.full((10, 20), np.inf), true) is None
+
+
+def test_table_of_deviations():
+    record = {
+        "half": "A", "real": True, "task": "sequence", "outcome": "right, green",
+        "within": [0.7, 0.95], "focal": 103.0, "true focal": 100.0, "focal deviation": 2.0,
+    }  # fmt: skip
+    wrong = {**record, "outcome": "wrong, flagged", "within": [0.0, 0.0]}
+    table = report.deviation_table([record, wrong])
+    (row,) = [row for row in table.rows if row[0] == "real, A"]
+    assert row == ["real, A", "1", "70", "95", "1", "0", "1", "1.5"]
