@@ -30,7 +30,9 @@ if TYPE_CHECKING:
 
 FACTORS = {"halved": 0.5, "doubled": 2.0}
 SEQUENCES = ("new_tsukuba", "tartanair")  # real sequences
-RENDERED = ("camera", "checks", "window", "objects", "film", "lens", "shutter", "chunks", "bodies")
+RENDERED = (
+    "camera", "checks", "window", "objects", "film", "lens", "shutter", "chunks", "bodies", "paths",
+)  # fmt: skip
 INPUTS = ("flow", *RENDERED, "pairs", *SEQUENCES)
 KINDS = ("sideways+rotation", "forward")  # of rendered pairs of a static scene
 STEP = (0.05, 0.0, 0.02, 0.0, 0.01, 0.0)  # m and rad per frame, of the rendered film
@@ -64,6 +66,10 @@ STAGES = {  # settings objects by the inputs that reach them
         f"{RECONSTRUCTION}.submaps.settings.SUBMAPS",
     ],
     ("bodies",): [f"{RECONSTRUCTION}.objects.settings.OBJECTS"],
+    ("paths",): [
+        f"{RECONSTRUCTION}.path_checks.settings.PATH_CHECKS",
+        f"{RECONSTRUCTION}.result.path_check.LIMITS",
+    ],
 }
 
 
@@ -117,6 +123,7 @@ def inputs(data: Path | None) -> dict[str, Callable[[], Figures]]:
     from bench.sequences.entries import MAX_DEPTH, data_entries
     from bench.sequences.rendered_films import depth_in_one_scale, path_error
     from bench.shared.sequences import find_pairs, scene_pairs
+    from bench.trust.worker import run_sequence
     from tisfm.evaluation.sequences import compare_sequence
     from tisfm.metrics import depth_errors, endpoint_error, label_scores, pose_errors
     from tisfm.reconstruction.chunks.entry import reconstruct_in_chunks
@@ -224,6 +231,14 @@ def inputs(data: Path | None) -> dict[str, Callable[[], Figures]]:
             depth = depth_in_one_scale(film, result)
         return {"path, %": path_error(result.poses, film.poses), "depth error": depth}
 
+    def paths() -> Figures:
+        verdicts = [run_sequence(case, None, is_smoke=True) for case in rendered()["paths"]]
+        frames = [verdict["statuses"].get("contradicted", 0) for verdict in verdicts]
+        return {
+            "contradicted films": float(np.mean([count > 0 for count in frames])),
+            "masked": float(np.mean([verdict["masked"] for verdict in verdicts])),
+        }
+
     def sequence(name: str) -> Figures:
         assert data is not None  # real sequences are inputs only with a folder
         entry = next(e for e in data_entries(data)[0] if e.name == name)
@@ -236,13 +251,15 @@ def inputs(data: Path | None) -> dict[str, Callable[[], Figures]]:
         return {"path, %": 100 * (found.pieces[0].share or np.nan)} | depth
 
     real = {name: partial(sequence, name) for name in SEQUENCES if data}
-    made = (camera, checks, window, objects, film, lens, shutter, chunks, bodies)
+    made = (camera, checks, window, objects, film, lens, shutter, chunks, bodies, paths)
     return {"flow": flow, **dict(zip(RENDERED, made, strict=True)), "pairs": pairs, **real}
 
 
 @cache
 def rendered() -> dict[str, Any]:
     """Return name → rendered pair or film, made once in a process."""
+    from bench.trust.cases import Case
+    from bench.trust.films import Disturbance
     from bench.window import blocks
     from tisfm.rigid import pose_matrix
     from tisfm.scenes import (
@@ -301,6 +318,15 @@ def rendered() -> dict[str, Any]:
         "objects": three_blocks(180, 240),
         "film": room_film(poses(steady[:8]), 96, 128, textured=True),
         "bodies": bodies_film(bodies_path(10), 150, 200),
+        "paths": [
+            Case(task="sequence", scene=scene, disturbance=Disturbance(kind=kind, strength=size))
+            for scene, kind, size in (
+                ("room 0", "clean", 0.0),
+                ("street 0", "clean", 0.0),
+                ("room 1", "overlay", 0.3),
+                ("room 0", "zoom", 0.01),
+            )
+        ],
     }
 
 
