@@ -1,13 +1,13 @@
 """The result of a pair: 3D motion, depth, image motion, and their confidence."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.grade import Grade, depth_error, grade_depth
+from tisfm.grade import Grade, depth_error, grade_depth, warn_of_grades
 from tisfm.point_cloud import MAX_MEDIAN_DEPTHS, PointCloud, point_cloud
 from tisfm.settings import Settings
 from tisfm.status import History, Status
@@ -192,7 +192,7 @@ class Interpretation:
         (3, dtype('uint8'), True)
         >>> cloud.save("pair.ply")
         """
-        return point_cloud(
+        points = point_cloud(
             self.depth,
             self.camera,
             frame=self.frame,
@@ -202,6 +202,8 @@ class Interpretation:
             max_depth=max_depth,
             occluded=occluded,
         )
+        note = warn_of_grades([self.grade], [self.status], [self.depth_error])
+        return replace(points, note=note)
 
     def save(self, path: str | Path, *, compact: bool = False) -> None:
         """Write the result to an ``.npz`` file without pickles; after an error there is no file.

@@ -68,7 +68,8 @@ def test_the_folder_holds_the_promised_files(tisfm_run, film, work_folder, fusin
     code, out, err = tisfm_run("reconstruct", "film", *options(film, "--ply", *mesh))
     assert code == 0 and out == ""
     told = re.fullmatch(
-        rf"{COUNT} of {COUNT} frames have a pose, in 1 piece; (\d+) keyframes\. Results in out\.\n",
+        rf"{COUNT} of {COUNT} frames have a pose, in 1 piece; (\d+) keyframes\. Grade [^\n]+ "
+        r"\(worst\)\. Results in out\.\n",
         err,
     )
     assert told

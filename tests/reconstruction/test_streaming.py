@@ -88,6 +88,7 @@ def test_frames_are_yielded_once_and_in_order(streamed):
     assert [frame.name for frame in found] == [f"frame_{k:06d}" for k in range(COUNT)]
     for frame, image in zip(found, swing().frames, strict=True):
         assert frame.status == "converged" and frame.piece == 0
+        assert frame.grade.is_green and 0 < frame.depth_error < 0.1 and frame.depth_share > 0.5
         assert frame.pose.shape == (4, 4) and frame.pose.dtype == np.float64
         assert frame.inverse_depth.dtype == frame.inverse_depth_std.dtype == np.float32
         assert frame.inverse_depth.shape == frame.inverse_depth_std.shape == image.shape

@@ -5,6 +5,7 @@ solver and depth. They run again and again for the recent frames. Results of yie
 fixed, and data that later frames do not need are dropped.
 """
 
+import math
 import warnings
 from collections import deque
 from collections.abc import Iterator, Mapping
@@ -18,6 +19,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.errors import InputError
 from tisfm.focal_guess import GuessedFocalWarning
+from tisfm.grade import depth_error
 from tisfm.reconstruction.calibration.source_camera import SourceCamera
 from tisfm.reconstruction.depth.pose_adjustment import adjust_poses
 from tisfm.reconstruction.depth.segment_depth import (
@@ -36,7 +38,7 @@ from tisfm.reconstruction.path_checks.settings import PATH_CHECKS
 from tisfm.reconstruction.result.calibration import GIVEN, Calibrate
 from tisfm.reconstruction.result.folder import CACHE, PICTURES, read_picture
 from tisfm.reconstruction.result.path_check import PairEvidence, PathCheck
-from tisfm.reconstruction.result.statuses import NO_PARALLAX, add_piece_note
+from tisfm.reconstruction.result.statuses import NO_PARALLAX, add_piece_note, mark_uncertain
 from tisfm.reconstruction.streaming.sliding_path import SlidingPath, SlidingSolution
 from tisfm.reconstruction.streaming.streamed_frame import StreamedFrame
 from tisfm.reconstruction.tracks.triangulation import track_depths
@@ -313,6 +315,11 @@ class Stream:
     ) -> StreamedFrame:
         index, name, time = self._frame_info.pop(frame)
         shape = self._frames.shape
+        error, share = math.nan, 0.0
+        if depth is not None:
+            focal_deviation = self._calibration.relative_focal_std
+            error, share = depth_error(depth.inverse_depth, depth.deviation, focal_deviation)
+            (status,) = mark_uncertain([status], np.array([error]))
         return StreamedFrame(
             index=index,
             name=name,
@@ -331,6 +338,8 @@ class Stream:
             picture=read_picture(self._folder, frame),
             camera=self._frames.camera,
             calibration=self._calibration,
+            depth_error=error,
+            depth_share=share,
         )
 
     def _drop_unneeded(self) -> None:

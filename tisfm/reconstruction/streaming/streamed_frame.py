@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.grade import Grade, grade_depth
 from tisfm.reconstruction.result.calibration import GIVEN, Calibration
 from tisfm.status import Status
 
@@ -27,7 +28,9 @@ class StreamedFrame:
         Number of the piece that the frame belongs to; −1 for a frame without a pose. Each piece has
         a scale of its own, in which the median depth of its first keyframe is 1.
     status : Status
-        ``"converged"`` if the frame has a pose and depth; with a message.
+        ``"converged"`` if the frame has a pose and depth; ``"uncertain"`` if its depth is expected
+        to be off by more than 10 %; ``"contradicted"`` if the image motion contradicts the path;
+        with a message.
     keyframe : bool
         Whether its depth was found by matching with several other frames. Otherwise the depth was
         rendered from keyframes.
@@ -41,6 +44,9 @@ class StreamedFrame:
         The pinhole camera of the frame.
     calibration : Calibration
         Origin of its focal length, as for `Reconstruction`.
+    depth_error, depth_share : float
+        Expected relative error of its depth, and the share of its pixels that are expected to be
+        off by at most 10 %, as for `Reconstruction`; NaN and 0 without depth.
 
     Examples
     --------
@@ -67,6 +73,13 @@ class StreamedFrame:
     picture: np.ndarray = field(repr=False)
     camera: Camera = field(repr=False)
     calibration: Calibration = field(repr=False, default=GIVEN)
+    depth_error: float = float("nan")
+    depth_share: float = field(repr=False, default=0.0)
+
+    @property
+    def grade(self) -> Grade:
+        """How far its pose and depth can be trusted."""
+        return Grade.NO_POSE if self.piece < 0 else grade_depth(self.status, self.depth_error)
 
     @property
     def depth(self) -> np.ndarray:
