@@ -39,7 +39,8 @@ def test_run_writes_the_promised_files(tisfm_run, frames, source):
     code, out, err = tisfm_run("run", *source, "-o", "out", *more)
     assert code == 0 and out == ""
     assert re.fullmatch(
-        r"2 pairs: .*, \d+\.\d\d s each \(median\)\. Results in out, settings and scales in "
+        r"2 pairs: .*, \d+\.\d\d s each \(median\)\. Grade poor, as field only shows "
+        r"near and far\. Results in out, settings and scales in "
         r"out/run\.json\.\n",
         err,
     )

@@ -160,9 +160,10 @@ def _tell_result(writer: PairWriter) -> None:
     median_time = f", {seconds[len(seconds) // 2]:.2f} s each (median)" if seconds else ""
     number = sum(writer.statuses.values())
     grades = writer.grade_summary
+    field_note = "" if writer.files.has_pose else ", as field only shows near and far"
     tell_grade(
         f"{number} pair{'s' * (number != 1)}: {statuses}{median_time}. "
-        + (f"Grade {grades.text}. " if grades else "")
+        + (f"Grade {grades.text}{field_note}. " if grades else "")
         + f"Results in {writer.folder}, settings and scales in {writer.folder / RECORD}."
     )
     for code, advice in writer.advice.items():
