@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from tests.one_thread import bits_on_one_thread, several_threads
-from tests.reconstruction.films import along, mirrored, path_error, there_and_back, walk
-from tests.rendered import room_film
+from tests.reconstruction.films import mirrored, path_error, there_and_back, walk
 from tisfm.reconstruction.path.path_solver import find_path
 
 
@@ -42,14 +41,6 @@ def test_round_trip_closes_around_blank_frames():
 def test_two_scenes_are_two_pieces():
     path = path_of([*walk().frames, *mirrored(walk(seed=5))])
     assert [list(piece.poses) for piece in path.pieces] == [list(range(9)), list(range(9, 18))]
-
-
-@pytest.mark.nightly
-def test_camera_that_only_turns_has_no_path():
-    film = room_film(along(8, (0, 0, 0, 0, 0.03, 0)), 180, 240, samples=1)
-    path = path_of(film.frames)
-    assert path.pieces == ()
-    assert path.missing == dict.fromkeys(range(8), "little_parallax")
 
 
 def test_camera_at_rest_has_no_path():

@@ -42,7 +42,7 @@ from tisfm.reconstruction.chunks.runs import ChunksRun, ReconstructRun, WholeRun
 from tisfm.reconstruction.progress import DepthOf, FixedPixels, Stage, StopReading
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.reconstruction import Reconstruction
-from tisfm.reconstruction.result.summary import describe_pieces
+from tisfm.reconstruction.result.summary import describe_poses
 from tisfm.report import check_report
 from tisfm.running.pairs import FrameSelection
 from tisfm.running.pool import check_workers
@@ -397,12 +397,9 @@ def write_trajectories(result: Reconstruction, folder: Path) -> None:
 
 
 def _tell(result: Reconstruction, output: Path) -> None:
-    count = len(result)
-    posed_count = int((result.piece >= 0).sum())
-    sizes = np.bincount(result.piece[result.piece >= 0])
     tell_grade(
-        f"{posed_count} of {count} frames have a pose, in {describe_pieces(sizes)}; "
-        f"{len(result.keyframes)} keyframes. Grade {result.grade_summary.text}. "
+        f"{describe_poses(result.piece, result.has_position)}; {len(result.keyframes)} keyframes. "
+        f"Grade {result.grade_summary.text}. "
         f"Results in {output}."
     )
     for moving_object in result.objects:

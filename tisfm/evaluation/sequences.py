@@ -40,7 +40,8 @@ class PieceErrors:
     frames : int
         Frames with a pose in the piece.
     absolute : AbsoluteErrors or None
-        None if fewer than 3 of these frames have a true pose.
+        None if fewer than 3 of these frames have a true pose, or if the camera only turns: then
+        positions are unknown, and all errors are None.
     share : float or None
         `absolute.similarity` over the length of the true path of the whole sequence; None for a
         static camera.
@@ -276,6 +277,10 @@ def _compare_pieces(
     for number in numbers[order]:
         is_in_piece = (pieces == number)[:, None, None]
         poses = np.where(is_in_piece, result.poses, np.nan)
+        if result.status[int(np.argmax(pieces == number))] == "pure_rotation":
+            count = int(np.count_nonzero(pieces == number))
+            piece_errors.append(PieceErrors(piece=int(number), frames=count))
+            continue
         piece_errors.append(_compare_piece(int(number), poses, loaded.poses, path))
     return tuple(piece_errors)
 

@@ -164,13 +164,19 @@ def write_colmap(
 def model_frames(result: Reconstruction) -> dict[int, list[int]]:
     """Return the frames of every piece of at least two, the largest piece first.
 
+    Pieces in which the camera only turns are left out: their positions are unknown.
+
     Raises ValueError if there is no such piece.
     """
-    frames = {k: np.flatnonzero(result.piece == k).tolist() for k in range(len(result.unit))}
+    frames = {
+        k: np.flatnonzero(result.piece == k).tolist()
+        for k in range(len(result.unit))
+        if not result.only_turns(k)
+    }
     large_pieces = {k: numbers for k, numbers in frames.items() if len(numbers) >= MIN_FRAMES}
     if not large_pieces:
         raise InputError(
-            f"no two of the {len(result)} frames have poses in one scale: there is nothing to "
+            f"no two of the {len(result)} frames have positions in one scale: there is nothing to "
             "export; the statuses of the frames say why"
         )
     return dict(sorted(large_pieces.items(), key=lambda item: -len(item[1])))

@@ -38,6 +38,8 @@ def select_frames(frames: Iterable[int] | None, count: int) -> list[int]:
 def piece_frames(result: Reconstruction, frames: Iterable[int] | None = None) -> list[list[int]]:
     """Return the frames with a pose of each piece, the largest piece first.
 
+    Pieces in which the camera only turns come last.
+
     Raises IndexError if a frame does not exist.
 
     Raises ValueError if none of the frames has a pose.
@@ -52,7 +54,11 @@ def piece_frames(result: Reconstruction, frames: Iterable[int] | None = None) ->
             f"none of {len(chosen)} frames in {result.folder} has a pose: see the statuses of "
             "the reconstruction"
         )
-    return sorted(pieces.values(), key=len, reverse=True)
+    return sorted(
+        pieces.values(),
+        key=lambda frames: (not result.only_turns(int(result.piece[frames[0]])), len(frames)),
+        reverse=True,
+    )
 
 
 def piece_files(folder: Path, name: str, pieces: Sequence[object]) -> list[Path]:

@@ -53,16 +53,29 @@ def note_poses(export: ExportRequest) -> list[str]:
         notes.append(
             f"{len(pieces)} pieces ({sizes} frames), each with its own scale and its own file"
         )
+    turning_count = sum(map(len, pieces)) - sum(map(len, _pieces_with_positions(export)))
+    if turning_count:
+        notes.append(
+            f"the camera only turns in {_count_text(turning_count)}: the file has their "
+            "orientations; their positions are unknown, and 0 in the file"
+        )
     return notes
 
 
+def _pieces_with_positions(export: ExportRequest) -> list[list[int]]:
+    """Return the frames of each piece in which the camera does not only turn."""
+    result = export.sequence
+    pieces = piece_frames(result, export.chosen)
+    return [piece for piece in pieces if not result.only_turns(int(result.piece[piece[0]]))]
+
+
 def note_models(export: ExportRequest) -> list[str]:
-    """Note frames without a model: without a pose, or in a piece of one frame."""
-    pieces = [piece for piece in piece_frames(export.sequence, export.chosen) if len(piece) > 1]
+    """Note frames without a model: without a position, or in a piece of one frame."""
+    pieces = [piece for piece in _pieces_with_positions(export) if len(piece) > 1]
     notes = []
     if missing_count := len(export.chosen) - sum(map(len, pieces)):
         notes.append(
-            f"{_count_text(missing_count)} without a pose, or in a piece of one frame, left out"
+            f"{_count_text(missing_count)} without a position, or in a piece of one frame, left out"
         )
     if len(pieces) > 1:
         sizes = ", ".join(str(len(piece)) for piece in pieces)
@@ -308,7 +321,14 @@ def _model_format(
         return [subfolder]
 
     def check(export: ExportRequest) -> None:
-        if max(map(len, piece_frames(export.sequence, export.chosen))) < 2:
+        _require_poses(export)
+        pieces = _pieces_with_positions(export)
+        if not pieces:
+            raise InputError(
+                f"the camera only turns: {name} needs positions, which are unknown; export the "
+                "orientations as tum, kitti, gltf-camera or chan"
+            )
+        if max(map(len, pieces)) < 2:
             raise InputError(f"{name} needs a piece of two frames or more, but there is none")
         if len(export.chosen) < len(export.frames):
             raise InputError(f"{name} exports all frames: leave out --start, --stop and --step")

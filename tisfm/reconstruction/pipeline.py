@@ -45,10 +45,11 @@ from tisfm.reconstruction.result.folder import (
     write_record,
 )
 from tisfm.reconstruction.result.moving_object import MovingObject, refuse_unknown_ids
-from tisfm.reconstruction.result.path_check import PathCheck
+from tisfm.reconstruction.result.path_check import UNCHECKED, PathCheck
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.reconstruction.result.statuses import (
     NO_PARALLAX,
+    ONLY_TURNS,
     add_piece_note,
     mark_contradicted,
     mark_uncertain,
@@ -313,6 +314,13 @@ def find_depth(
     errors, shares = np.full(count, np.nan), np.zeros(count)
     done = 0
     for number, piece in enumerate(path.pieces):
+        if piece.only_turns:
+            origin = piece.poses[min(piece.poses)]
+            for frame, pose in piece.poses.items():
+                poses[frame], pieces[frame] = np.linalg.solve(origin, pose), number
+                status[frame] = ONLY_TURNS
+            done += len(piece.poses)
+            continue
         piece = _adjust_poses(job, reading.frames, piece, path.observations)
         kinds, unit, piece_errors = _piece_depth(
             job, reading.frames, piece, path.observations, done, focal_deviation
@@ -355,7 +363,9 @@ def check_pieces(
         return read_depth(job.folder, frame, frames.shape)[0] if is_written else None
 
     return tuple(
-        check_piece(
+        UNCHECKED
+        if piece.only_turns
+        else check_piece(
             {frame: depth.poses[frame] for frame in piece.poses},
             [frame for frame in depth.keyframes if frame in piece.poses],
             path.observations,
@@ -388,8 +398,7 @@ def write_result(
         objects = objects_with_depth(
             reading.frames,
             job.folder,
-            depth.poses,
-            depth.piece,
+            *_known_positions(path_result.path, depth),
             job.settings,
             with_depth=job.depth_of != "none",
             sizes=job.object_sizes,
@@ -427,6 +436,14 @@ def write_result(
         write_mask(job.folder, path_result.fixed_pixels)
     write_record(job.folder, result)
     return result
+
+
+def _known_positions(path: CameraPath, depth: DepthResult) -> tuple[np.ndarray, np.ndarray]:
+    """Return the poses and the pieces of frames, NaN and −1 where the camera only turns."""
+    turning = [number for number, piece in enumerate(path.pieces) if piece.only_turns]
+    is_unknown = np.isin(depth.piece, turning)
+    poses = np.where(is_unknown[:, None, None], np.nan, depth.poses)
+    return poses, np.where(is_unknown, np.int32(-1), depth.piece)
 
 
 def _make_tracker(job: Job, camera: Camera, calibrate: Calibrate) -> SequenceTracker:

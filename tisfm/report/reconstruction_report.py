@@ -83,7 +83,7 @@ def _report(result: Reconstruction, folder: Path, source: str | None) -> Report:
         grade_spans=status_spans([str(grade) for grade in result.grades]),
         spans=status_spans([str(status) for status in result.status]),
         unit="frame",
-        drawing=path_drawing(result.poses, result.piece),
+        drawing=path_drawing(result.poses, np.where(result.has_position, result.piece, -1)),
         drawing_title="Path of the camera",
         drawing_text=text,
         slides=slides,
@@ -120,7 +120,8 @@ def _report(result: Reconstruction, folder: Path, source: str | None) -> Report:
 
 
 def _summary(result: Reconstruction, folder: Path, source: str | None) -> list[tuple[str, str]]:
-    pose_count = int((result.piece >= 0).sum())
+    pose_count = int(result.has_position.sum())
+    turning_count = int((result.piece >= 0).sum()) - pose_count
     sizes = np.bincount(result.piece[result.piece >= 0])
     calibration = result.calibration
     focal = describe_focal(
@@ -132,6 +133,7 @@ def _summary(result: Reconstruction, folder: Path, source: str | None) -> list[t
         ("Folder", folder.resolve().name),
         ("Frames", f"{len(result)}, {width} × {height} px"),
         ("With a pose", f"{pose_count} of {len(result)}"),
+        *([("With an orientation only", str(turning_count))] if turning_count else []),
         ("Pieces", f"{len(sizes)}" + (f" ({_sizes_text(sizes)} frames)" if len(sizes) > 1 else "")),
         ("Keyframes", str(len(result.keyframes))),
         ("Grade", result.grade_summary.text),
@@ -203,6 +205,8 @@ def _slide(
         slide_pictures.append(Picture(title="Moving objects", url=pictures.url(overlay)))
     piece, status = int(result.piece[number]), frame.status
     frame_note = f"piece {piece}" if piece >= 0 else "no pose"
+    if piece >= 0 and not result.has_position[number]:
+        frame_note += ", orientation only"
     if number in result.keyframes:
         frame_note += ", keyframe"
     error = float(result.depth_error[number])

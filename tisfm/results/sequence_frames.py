@@ -85,6 +85,8 @@ class SequenceFrames:
         """How to get depth for frames without depth."""
         if not (self.piece >= 0).any():
             return "no frame has a pose; the statuses of the reconstruction say why"
+        if not self._result.has_position.any():
+            return "the camera only turns: move it sideways"
         if not (self.folder / DEPTH).is_dir():
             return f"its folder {DEPTH} was removed"
         return "reconstruct with --depth-of all"

@@ -62,6 +62,13 @@ class ChunkResult:
         """Return the piece of a frame; −1 for none."""
         return int(self.result.piece[self.frames[index]]) if index in self.frames else -1
 
+    def knowledge(self, index: int) -> int:
+        """Return what is known of a frame: 0 nothing, 1 its orientation, 2 its pose."""
+        piece = self.piece(index)
+        if piece < 0:
+            return 0
+        return 2 if self.result.has_position[self.frames[index]] else 1
+
 
 @dataclass(frozen=True, kw_only=True)
 class ChunkPlacement:
@@ -134,9 +141,9 @@ def _chunk_of_frames(parts: Sequence[ChunkResult]) -> dict[int, int]:
                 chunk_numbers[index] = k
     for k, (before, after) in enumerate(pairwise(parts)):
         for index in before.frames.keys() & after.frames.keys():
-            # Prefer the chunk in which the frame has a pose.
+            # Prefer the chunk in which the frame has a pose, or else an orientation.
             for chunk, other in ((k, k + 1), (k + 1, k)):
-                if parts[chunk].piece(index) < 0 <= parts[other].piece(index):
+                if parts[chunk].knowledge(index) < parts[other].knowledge(index):
                     chunk_numbers[index] = other
     return dict(sorted(chunk_numbers.items()))
 

@@ -44,6 +44,13 @@ def overlap_sim3(
         result.poses[[pair[k] for pair in shared]] for k, result in enumerate((first, second))
     )
     rotation = mean_rotation(poses, others)
+    if all(
+        result.only_turns(int(result.piece[shared[0][side]]))
+        for side, result in enumerate((first, second))
+    ):  # positions are unknown, and so is the scale
+        similarity = np.eye(4)
+        similarity[:3, :3] = rotation
+        return similarity
     candidates = (
         scale_from_depth(first, second, shared),
         scale_from_positions(poses, others, rotation),

@@ -55,6 +55,9 @@ class Piece:
     views: tuple[int, ...]  # frames whose poses were adjusted together with the points
     # by track number: (3,) float64, position in the world
     points: Mapping[int, np.ndarray]
+    # Whether the camera only turns. Then its positions are unknown: poses have the position 0, and
+    # there are no points.
+    only_turns: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,6 +2,6 @@
 
 May import: `camera`, `checks`, `errors`, `shutter`, `status`, `trajectory`,
 `reconstruction.calibration`, `reconstruction.frames`, `reconstruction.mapping`,
-`reconstruction.result`, `reconstruction.rolling_shutter`, `reconstruction.submaps` and
-`reconstruction.tracks`.
+`reconstruction.result`, `reconstruction.rolling_shutter`, `reconstruction.rotation`,
+`reconstruction.submaps` and `reconstruction.tracks`.
 """

@@ -24,6 +24,8 @@ from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.mapping.solution import FocalEstimate, PathSolution, Piece
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.rolling_shutter.correction import ReadoutCorrection, find_corrected_path
+from tisfm.reconstruction.rotation.rotation_search import RotationSearch
+from tisfm.reconstruction.rotation.settings import ROTATION
 from tisfm.reconstruction.submaps.joining import focal_from_submaps, models_from_submaps
 from tisfm.reconstruction.submaps.settings import SUBMAPS
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracker, SequenceTracks
@@ -86,9 +88,11 @@ class PathSolver:
             count = len(tracks.observations)
             instants = np.arange(count) if instants is None else np.asarray(instants)
             solution, rolling = self._correct_readout(solution, instants)
+        missing = self.find_missing(solution)
+        solution = self._add_rotations(solution)
         return CameraPath(
             pieces=tuple(sorted(solution.pieces, key=lambda piece: min(piece.poses))),
-            missing=self.find_missing(solution),
+            missing={frame: missing[frame] for frame in solution.missing_frames},
             observations=solution.observations,
             camera=solution.camera,
             focal=solution.focal,
@@ -169,6 +173,37 @@ class PathSolver:
             focal=focal,
             score=score,
         )
+
+    def _add_rotations(self, solution: PathSolution) -> PathSolution:
+        """Return the solution with pieces in which the camera only turns.
+
+        If there is no other piece, and the focal length is to be estimated, the rotations show it.
+        """
+        is_focal_known = self.calibrate == "nothing" or bool(solution.pieces)
+        search = RotationSearch(
+            observations=solution.observations,
+            views=_undistort_views(solution.views, solution.camera, self.tracks.shape),
+            matches=self.tracks.matches,
+            camera=solution.camera.pinhole(),
+            shape=self.tracks.shape,
+        )
+        for frames in _runs(solution.missing_frames):
+            found = search.find_piece(frames, is_focal_known=is_focal_known)
+            if found is None:
+                continue
+            piece, estimate = found
+            solution = replace(
+                solution,
+                pieces=[*solution.pieces, piece],
+                missing_frames=[k for k in solution.missing_frames if k not in piece.poses],
+            )
+            if estimate is not None:  # of the first run; later runs have this focal length too
+                solution = replace(
+                    solution, camera=estimate.apply_to(solution.camera), focal=estimate
+                )
+                search = replace(search, camera=solution.camera.pinhole())
+                is_focal_known = True
+        return solution
 
     def _correct_readout(
         self, solution: PathSolution, instants: np.ndarray
@@ -353,6 +388,13 @@ def add_remaining_frames(
         replace(piece, poses=dict(sorted(poses.items())))
         for piece, poses in zip(pieces, poses_of_pieces, strict=True)
     ], missing_frames
+
+
+def _runs(frames: Sequence[int]) -> list[list[int]]:
+    """Return runs of consecutive frames that are long enough for a piece."""
+    breaks = np.flatnonzero(np.diff(frames) != 1) + 1
+    runs = [run.tolist() for run in np.split(np.asarray(frames, np.int64), breaks)]
+    return [run for run in runs if len(run) >= ROTATION.min_frames]
 
 
 def status_without_pose(

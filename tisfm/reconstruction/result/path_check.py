@@ -263,3 +263,7 @@ class PathCheck:
             f"the image motion contradicts the path or its depth: {evidence}. Give the focal "
             'length, a mask of moving objects or motion="objects", or other frames'
         )
+
+
+UNCHECKED = PathCheck(pairs=(), fixed_share=0.0, infinity_motion=0.0)
+"""The check of a piece whose positions are unknown: there is no path to check."""

@@ -40,7 +40,8 @@ class Reconstruction:
     ----------
     poses : (N, 4, 4) float64
         Camera to world: X right, Y down, Z forward. The first pose of a piece is the identity,
-        unless poses were given. NaN for a frame without a pose.
+        unless poses were given. NaN for a frame without a pose. Where the camera only turns
+        (`only_turns`), its position is unknown, and 0.
     piece : (N,) int32
         The piece of each frame; −1 for a frame without a pose. Each piece has its own scale: the
         median depth of its first keyframe is 1. Without depth, this holds for the tracks in its
@@ -50,7 +51,8 @@ class Reconstruction:
     status : tuple of Status
         For every frame, with a message: ``"converged"`` if it has a pose, and depth if depth was
         requested; ``"uncertain"`` if its depth is expected to be off by more than 10 %;
-        ``"contradicted"`` if it has a pose, and the image motion contradicts the path.
+        ``"contradicted"`` if it has a pose, and the image motion contradicts the path;
+        ``"pure_rotation"`` if its orientation is known, and its position and depth are not.
     depth_error : (N,) float64
         Expected relative error of the depth of each frame: half of the pixels should have a smaller
         error, apart from the unit of the piece. It follows from the deviations of depth and of the
@@ -131,9 +133,33 @@ class Reconstruction:
 
     @property
     def largest_piece(self) -> int:
-        """The piece with the most frames; 0 without pieces."""
-        valid_pieces = self.piece[self.piece >= 0]
-        return int(np.bincount(valid_pieces).argmax()) if len(valid_pieces) else 0
+        """The piece with the most frames; 0 without pieces.
+
+        A piece with positions comes before a piece in which the camera only turns.
+        """
+        counts = np.bincount(self.piece[self.piece >= 0], minlength=1)
+        weights = [1 if self.only_turns(piece) else 1 + len(self) for piece in range(len(counts))]
+        return int(np.argmax(counts * weights))
+
+    def only_turns(self, piece: int) -> bool:
+        """Return whether the camera only turns in a piece.
+
+        Its orientations are known. Its positions are unknown, and 0; there is no depth.
+
+        Examples
+        --------
+        >>> import tisfm
+        >>> result = tisfm.Reconstruction.load("walk")
+        >>> result.only_turns(0)
+        False
+        """
+        return any(self.status[k] == "pure_rotation" for k in np.flatnonzero(self.piece == piece))
+
+    @property
+    def has_position(self) -> np.ndarray:
+        """Which frames have a position, (N,) bool: a pose in a piece that does not only turn."""
+        turning = [piece for piece in range(len(self.unit)) if self.only_turns(piece)]
+        return np.asarray((self.piece >= 0) & ~np.isin(self.piece, turning))
 
     def grade(self, frame: int) -> Grade:
         """Return the grade of a frame: how far its pose and depth can be trusted.
@@ -191,7 +217,14 @@ class Reconstruction:
         >>> result.summary()[:42]
         '9 of 9 frames have a pose, in 1 piece. The'
         """
-        return summarise(self.piece, self.status, self.grade_summary, self.camera, self.calibration)
+        return summarise(
+            self.piece,
+            self.has_position,
+            self.status,
+            self.grade_summary,
+            self.camera,
+            self.calibration,
+        )
 
     def warning(self, frames: Iterable[int] | None = None) -> str:
         """Return a warning of contradicted frames, or else of poor depth; "" without such frames.

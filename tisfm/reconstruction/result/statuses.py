@@ -14,6 +14,11 @@ NEW_PIECE_NOTE = (
 NO_PARALLAX = Status(
     "little_parallax", "no nearby frame shows enough parallax for depth; its pose is known"
 )
+ONLY_TURNS = Status(
+    "pure_rotation",
+    "the camera only turns: its orientation is known; its position and depth are not. Move the "
+    "camera sideways",
+)
 ROUGH_DEPTH = (
     "the depth of the frame is expected to be off by {error}: its deviations are large, or the "
     "focal length is uncertain; give frames with more motion between them, or the focal length"
@@ -21,7 +26,12 @@ ROUGH_DEPTH = (
 
 
 def add_piece_note(status: Status) -> Status:
-    """Return the status of the first frame of a later piece, with a note on the new piece."""
+    """Return the status of the first frame of a later piece, with a note on the new piece.
+
+    A piece in which the camera only turns has no scale, and no note.
+    """
+    if status == ONLY_TURNS:
+        return status
     message = f"{status.message}; {NEW_PIECE_NOTE}" if status.message else NEW_PIECE_NOTE
     return Status(str(status), message)
 

@@ -29,14 +29,14 @@ def summarise_grades(
 
 def summarise(
     piece: np.ndarray,  # (N,) int: the piece of each frame; −1 for none
+    has_position: np.ndarray,  # (N,) bool: which frames have more than an orientation
     statuses: Sequence[Status],
     grades: GradeSummary,
     camera: Camera,
     calibration: Calibration,
 ) -> str:
     """Return one paragraph: poses, pieces, focal length, grades, and what to do."""
-    count, sizes = len(piece), np.bincount(piece[piece >= 0])
-    sentences = [f"{int(sizes.sum())} of {count} frames have a pose, in {describe_pieces(sizes)}."]
+    sentences = [f"{describe_poses(piece, has_position)}."]
     focal = describe_focal(
         calibration.focal or camera.focal, calibration.focal_std, calibration.shape
     )
@@ -53,9 +53,15 @@ def summarise(
     return " ".join(" ".join(sentences).replace("..", ".").split())
 
 
-def describe_pieces(sizes: np.ndarray) -> str:
-    """Return the number of pieces and their sizes, (P,) int, in words."""
-    text = f"{len(sizes)} piece{'s' * (len(sizes) != 1)}"
+def describe_poses(piece: np.ndarray, has_position: np.ndarray) -> str:
+    """Return the number of frames with a pose, the pieces and their sizes, in words."""
+    sizes = np.unique(piece[has_position], return_counts=True)[1]
+    text = f"{int(sizes.sum())} of {len(piece)} frames have a pose"
+    if len(sizes) or not (piece >= 0).any():
+        text += f", in {len(sizes)} piece{'s' * (len(sizes) != 1)}"
     if len(sizes) > 1:
         text += f" ({', '.join(map(str, sizes))} frames, each with its own scale)"
+    turning_count = int(((piece >= 0) & ~has_position).sum())
+    if turning_count:
+        text += f"; {turning_count} {'have' if turning_count > 1 else 'has'} an orientation only"
     return text
