@@ -50,7 +50,8 @@ class Grade(str, Enum):
     - ``"good"``: half of the depth is expected to be off by at most 3 %.
     - ``"fair"``: by at most 10 %.
     - ``"poor"``: by more, or by an unknown amount; or the status says that depth is rough.
-    - ``"no depth"``: a frame of a sequence has a pose; depth is unknown, or was not requested.
+    - ``"no depth"``: a frame of a sequence has a pose, or an orientation where the camera only
+      turns; depth is unknown, or was not requested.
     - ``"no pose"``: a frame of a sequence has neither pose nor depth.
     - ``"contradicted"``: the images contradict the pose or the depth, as the status says.
 

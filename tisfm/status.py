@@ -38,7 +38,8 @@ class Status(str):
 
     With ``motion="camera"``, or ``"objects"`` if it finds a single motion:
 
-    - ``"pure_rotation"``: the camera only turned. No depth.
+    - ``"pure_rotation"``: the camera only turned. No depth. A frame of a sequence has an
+      orientation; its position is unknown, and 0.
     - ``"little_parallax"``: the camera hardly moved. No depth.
     - ``"uncertain"``: the camera moved so little that depth is rough; with ``motion="camera"`` also
       if much of the depth has a large deviation.
