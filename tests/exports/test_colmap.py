@@ -296,7 +296,7 @@ def test_impossible_options_are_refused_first(found, tmp_path, options, text):
 def test_without_two_poses_there_is_no_model(found, tmp_path):
     alone = np.full(len(found), -1, np.int32)
     alone[0] = 0
-    with pytest.raises(ValueError, match="no two of the 9 frames have poses in one scale"):
+    with pytest.raises(ValueError, match="no two of the 9 frames have positions in one scale"):
         write_colmap(replace(found, piece=alone), tmp_path / "out")
     with pytest.raises(ValueError, match="piece is 3: expected 0 to 0"):
         measure_tracks(found, 3)

@@ -45,6 +45,7 @@ def chunk(folder, poses, depth, *, with_depth=range(COUNT), off=0.01):
         deviation=off * inverse,
         shape=SHAPE,
         camera=tisfm.Camera(focal=80.0),
+        has_position=np.ones(COUNT, bool),
     )
 
 

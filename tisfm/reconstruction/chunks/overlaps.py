@@ -44,10 +44,9 @@ def overlap_sim3(
         result.poses[[pair[k] for pair in shared]] for k, result in enumerate((first, second))
     )
     rotation = mean_rotation(poses, others)
-    if all(
-        result.only_turns(int(result.piece[shared[0][side]]))
-        for side, result in enumerate((first, second))
-    ):  # positions are unknown, and so is the scale
+    first_frame, second_frame = shared[0]
+    if not first.has_position[first_frame] and not second.has_position[second_frame]:
+        # The camera only turns: positions are unknown, and so is the scale.
         similarity = np.eye(4)
         similarity[:3, :3] = rotation
         return similarity
