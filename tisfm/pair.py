@@ -170,6 +170,7 @@ def interpret_pair(
     from tisfm.motion.estimate import history_of
     from tisfm.motion.field import field_estimate
     from tisfm.motion.frame_agreement import confirms_large_motion, diverged_status, field_status
+    from tisfm.motion.light import with_light_note
     from tisfm.motion.objects.estimation import objects_estimate
     from tisfm.motion.previous_frame import previous_frame
 
@@ -226,6 +227,7 @@ def interpret_pair(
             if depth_doubt is not None and depth_doubt != status:
                 status = depth_doubt
     status = with_brightness_advice(status, pyramid, settings)
+    status = with_light_note(status, estimate.light)
     if window is not None:
         _store_pair(window, pyramid, flow, occluded, status)
         if window.previous is None and previous is not None and previous.is_used:

@@ -110,6 +110,7 @@ def camera_estimate(
         uses_matches=start.uses_matches,
         start_flow=start.flow,
         start_level=start.level,
+        light=start.light,
     )
     return estimate if start.doubt is None else replace(estimate, status=start.doubt)
 
@@ -143,4 +144,4 @@ def first_motion_estimate(
         status=status,
         history=start.history,
     )
-    return replace(estimate, uses_matches=start.uses_matches)
+    return replace(estimate, uses_matches=start.uses_matches, light=start.light)

@@ -12,6 +12,7 @@ from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.kernels.layout.lanes import LaneData, aligned_empty, on_host
 from tisfm.kernels.model.readout import rigid_fields
+from tisfm.motion.light import LightChange
 from tisfm.motion.problems import flow_problem
 from tisfm.motion.rigid_depth import RigidSolution
 from tisfm.motion.settings import DEPTH
@@ -49,6 +50,7 @@ class Estimate:
     # for an estimate without depth
     start_flow: np.ndarray | None = None
     start_level: int = 0  # level of `start_flow`
+    light: tuple[LightChange, ...] = ()  # changes of light that were undone in the pyramid
 
 
 def no_motion_status(solution: Solution, *, is_textured: bool = True) -> Status | None:

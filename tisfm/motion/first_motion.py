@@ -18,8 +18,9 @@ from tisfm.motion.epipolar_fit import Pose
 from tisfm.motion.estimate import no_motion_status
 from tisfm.motion.frame_agreement import aperture_status, replaced_status, unrelated_status
 from tisfm.motion.homographies import plane_status
+from tisfm.motion.light import LightChange, light_change
 from tisfm.motion.problems import flow_problem
-from tisfm.motion.settings import EGOMOTION, SPARSE
+from tisfm.motion.settings import EGOMOTION, LIGHT, SPARSE
 from tisfm.motion.sparse_motion import SparseMotion
 from tisfm.motion.sparse_start import SparseStart, known_pose_start, sparse_start
 from tisfm.rigid import KnownPose
@@ -52,6 +53,7 @@ class FirstMotion:
     uses_matches: bool = False
     # whether the frames have one layout but different contents, so that matches are useless
     is_cut: bool = False
+    light: tuple[LightChange, ...] = ()  # changes of light that were undone, in order
 
     @property
     def matrix(self) -> np.ndarray:
@@ -77,12 +79,14 @@ def first_motion(
 ) -> FirstMotion:
     """Fit a motion to the flow field of a level, or compare a known motion with it.
 
+    If the light changed, the pyramid is modified in place: its frame 1 gets the light of frame 0.
+
     A known pose with a translation needs no parallax: with little parallax, depth is large or
     uncertain.
     """
     levels = [k for k, frame in enumerate(pyramid.frames0) if frame.size >= min_pixels]
     known_pose = pose or KnownPose(rotation=np.eye(3), translation=None)
-    start = _estimate_flow_field(pyramid, settings, known_pose, level=max(levels, default=0))
+    start = _estimate_in_even_light(pyramid, settings, known_pose, level=max(levels, default=0))
     if start.status is not None:
         return start
     if hidden is not None:
@@ -213,6 +217,35 @@ def _parallax_text(parallax: float, residual: float) -> str:
     return (
         f"beyond a rotation, the image moves by {parallax:.2g} px, and noise is {residual:.2g} px"
     )
+
+
+def _estimate_in_even_light(
+    pyramid: ImagePyramid, settings: Settings, known_pose: KnownPose, *, level: int
+) -> FirstMotion:
+    """Return the flow field of a level; bring frame 1 to the light of frame 0 first if it changed.
+
+    The pyramid is modified in place. A flow field tells a change of light only if its constraints
+    include the gradient, which light hardly changes.
+    """
+    start = _estimate_flow_field(pyramid, settings, known_pose, level=level)
+    if settings.gradient == 0 or start.status is not None:
+        return start
+    change = light_change(pyramid.frames0[level], pyramid.frames1[level], start.flow, start.trust)
+    if change is None:
+        return start
+    given_frames1, given_start = pyramid.frames1, start
+    pyramid.set_frames1([change.undo(frame) for frame in given_frames1])
+    if not change.is_large:
+        return replace(start, light=(change,))
+    start = _estimate_flow_field(pyramid, settings, known_pose, level=level)
+    rest = light_change(pyramid.frames0[level], pyramid.frames1[level], start.flow, start.trust)
+    if rest is None:
+        return replace(start, light=(change,))
+    if rest.typical_change > LIGHT.max_rest * change.typical_change:  # the flow was wrong
+        pyramid.set_frames1(given_frames1)
+        return given_start
+    pyramid.set_frames1([rest.undo(frame) for frame in pyramid.frames1])
+    return replace(start, light=(change, rest))
 
 
 def _estimate_flow_field(

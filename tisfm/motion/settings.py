@@ -390,7 +390,35 @@ class CheckSettings:
     min_brightness_ratio: float = 1.15  # ratio of mean brightness, if the light may have changed
 
 
+@dataclass(frozen=True, kw_only=True)
+class LightSettings:
+    """Changes of light between two frames."""
+
+    # longer sides: standard deviation of the Gaussian that averages over a region
+    region: float = 0.06
+    min_trust: float = 0.3  # confidence of the flow of pixels that are compared
+    min_used_share: float = 0.05  # share of such pixels
+    min_region_share: float = 0.15  # share of such pixels in a region that is judged
+    large_percentile: int = 90  # percentile of regions that counts as the largest change
+    # grey levels: median change of regions, and this percentile, from which light is corrected;
+    # rendered pairs in constant light have at most 0.12 and 0.6
+    min_typical_change: float = 0.5
+    min_large_change: float = 1.5
+    # grey levels: the same, from which the flow field is estimated again
+    min_typical_change_of_flow: float = 2.0
+    min_large_change_of_flow: float = 5.0
+    # change that the next flow field shows divided by the first change: if the rest is larger, the
+    # flow field was wrong, and light is not corrected
+    max_rest: float = 0.5
+    samples: int = 4000  # pixels that the change of the whole frame is fitted to
+    iterations: int = 8  # iterations of this fit
+    min_noise: float = 0.5  # grey levels: smallest scale of a robust fit
+    prior_weight: float = 0.02  # weight of a gain of 1 in regions, as a share of all pixels' weight
+    max_gain: float = 4.0  # largest change of light, and 1/(the smallest)
+
+
 EGOMOTION = EgomotionSettings()
+LIGHT = LightSettings()
 DEPTH = DepthSettings()
 SPARSE = SparseSettings()
 PROPOSALS = ProposalSettings()

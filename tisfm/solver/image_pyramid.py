@@ -87,6 +87,11 @@ class ImagePyramid:
         """Free the spline coefficients of a level; the next `spline1` computes them again."""
         self._spline1[level] = self._spline(level)
 
+    def set_frames1(self, frames1: list[np.ndarray]) -> None:
+        """Replace frame 1 of every level, (h, w) float32 each, the finest first."""
+        self.frames1 = frames1
+        self._spline1 = [self._spline(level) for level in range(self.levels)]
+
     def reversed(self) -> "ImagePyramid":
         """Return the pyramid with both frames exchanged."""
         result = copy(self)

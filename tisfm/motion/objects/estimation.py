@@ -52,10 +52,16 @@ def objects_estimate(
     )
     camera = pyramid.cameras[0]
     start = first_motion(pyramid, settings, min_pixels=OBJECTS.min_pixels)
-    if start.status == "unrelated" and not start.is_cut:
-        start = first_motion(pyramid, settings) if start.level > 0 else start
-        if start.status == "unrelated":
-            start = wide_baseline_motion(pyramid, settings, start, grey0, grey1)
+    light = start.light
+    is_unclear = start.status == "unrelated" and not start.is_cut
+    if is_unclear and start.level > 0:
+        start = first_motion(pyramid, settings)
+        light += start.light
+    for change in light:
+        grey1 = change.undo(grey1)
+    if is_unclear and start.status == "unrelated":
+        start = wide_baseline_motion(pyramid, settings, start, grey0, grey1)
+    start = replace(start, light=light)
     has_no_flow = start.status in ("no_texture", "unrelated", "aperture")
     if has_no_flow or (start.status == "no_motion" and not start.flow.any()):
         assert start.status is not None
@@ -99,7 +105,9 @@ def objects_estimate(
         )
         estimate = estimate if carried_solution is None else estimate_solution(carried_solution)
     history = start.history + estimate.history
-    estimate = replace(estimate, history=history, uses_matches=start.uses_matches)
+    estimate = replace(
+        estimate, history=history, uses_matches=start.uses_matches, light=start.light
+    )
     if len(order) == 1 and start.doubt is not None:
         estimate = replace(estimate, status=start.doubt)
     return align_scales(estimate, hidden) if settings.align_scales else estimate
