@@ -42,20 +42,19 @@ class Status(str):
       orientation; its position is unknown, and 0.
     - ``"little_parallax"``: the camera hardly moved. No depth.
     - ``"uncertain"``: the camera moved so little that depth is rough; with ``motion="camera"`` also
-      if much of the depth has a large deviation.
+      if much of the depth has a large deviation, or if regions of the image do not move as one
+      rigid motion lets them.
     - ``"two_motions"``: two motions explain the frames equally well, because the frames show one
       plane or are far apart; depth follows from one of the motions.
+    - ``"contradicted"``: the image motion contradicts the camera, because a zoom, a lens, or a turn
+      with another focal length explains it better; of a frame of a sequence with a pose, it
+      contradicts the path. Pose and depth are probably wrong.
 
     With ``motion="camera"``:
 
     - ``"behind_camera"``: much of the scene would lie behind the camera.
     - ``"unexplained"``: motion and depth do not align much of the texture; depth is wrong there.
     - ``"pose_mismatch"``: the given pose contradicts the images; depth still follows from the pose.
-
-    Of a sequence:
-
-    - ``"contradicted"``: the frame has a pose, and the image motion contradicts the path: pose and
-      depth are probably wrong.
 
     A file of another version may hold a code that is not in this list. It is kept: treat it as
     doubtful.

@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from tisfm.motion.camera_doubts import misfit_doubt
+from tisfm.motion.egomotion import sample_rays
 from tisfm.motion.estimate import Estimate, make_depthless_estimate, make_estimate
 from tisfm.motion.first_motion import FirstMotion, first_motion
 from tisfm.motion.plane_sweep import PlaneSweep
@@ -49,6 +51,9 @@ def camera_estimate(
     )
     if start.status is not None:
         return first_motion_estimate(pyramid, settings, start, start.status, level=level)
+    if pose is None and not start.uses_matches and start.doubt is None:
+        rays = sample_rays(start.flow, start.trust, pyramid.cameras[start.level])
+        start = replace(start, doubt=misfit_doubt(rays, (start.rotation, start.translation)))
     refine: Refinement = "motion"
     unit = None
     if pose is not None:

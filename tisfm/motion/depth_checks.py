@@ -73,6 +73,19 @@ def _uncertain_status(estimate: Estimate, visible: np.ndarray) -> Status | None:
     inverse_depth = estimate.inverse_depth[sample][visible]
     deviation = estimate.inverse_depth_std[sample][visible]
     median_depth = median(np.abs(inverse_depth))
+    has_depth = inverse_depth > 0
+    expected_error = (
+        CHECKS.median_ratio * median(deviation[has_depth] / inverse_depth[has_depth])
+        if has_depth.any()
+        else 0.0
+    )
+    if expected_error > CHECKS.max_expected_error:
+        return Status(
+            "uncertain",
+            f"half of the depth is expected to be off by more than {100 * expected_error:.0f}%: "
+            "take frames farther apart, or move the camera sideways; result.inverse_depth_std "
+            "tells where depth is reliable",
+        )
     share = (
         deviation
         > np.float32(CHECKS.max_relative_deviation) * np.maximum(inverse_depth, median_depth)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tisfm.motion.camera_doubts import camera_doubt
 from tisfm.motion.depth_checks import pose_status
 from tisfm.motion.egomotion import (
     CameraMotion,
@@ -173,8 +174,9 @@ def first_motion(
     if status == "pure_rotation":
         return replace(motion, rotation=fit.rotation_alone)
     if pose is None and status is None:
-        plane = plane_status(sample_rays(start.flow, start.trust, camera), fit.residual)
-        doubt = plane or doubt
+        rays = sample_rays(start.flow, start.trust, camera)
+        plane = plane_status(rays, fit.residual)
+        doubt = camera_doubt(rays, (fit.rotation, fit.translation)) or plane or doubt
     return replace(motion, rotation=fit.rotation, translation=fit.translation, doubt=doubt)
 
 

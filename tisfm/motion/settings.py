@@ -385,6 +385,10 @@ class CheckSettings:
     max_uncertain_share: float = 0.05
     # standard deviation of uncertain inverse depth, divided by this inverse depth and by the median
     max_relative_deviation: float = 0.5
+    # expected relative error of the depth: median error of a normal distribution in deviations,
+    # times the median relative deviation. Above it, a grade is poor (`tisfm.grade`).
+    max_expected_error: float = 0.1
+    median_ratio: float = 0.6745
     # a pixel of a coarser level is visible if a smaller share of its area is hidden
     max_hidden_share: float = 0.3
     min_brightness_ratio: float = 1.15  # ratio of mean brightness, if the light may have changed
@@ -417,8 +421,40 @@ class LightSettings:
     max_gain: float = 4.0  # largest change of light, and 1/(the smallest)
 
 
+@dataclass(frozen=True, kw_only=True)
+class IntrinsicsSettings:
+    """Whether another camera explains a flow field better."""
+
+    max_rays: int = 500  # rays that are compared
+    independent_rays: int = 30  # rays with independent errors; neighbours share errors of the flow
+    min_residual: float = 0.02  # px of the level: smaller residuals are equally good
+    iterations: int = 4  # iterations of a fit
+    # px of the level: a larger residual shows a wrong motion, so a fit has several starts
+    max_quiet_residual: float = 0.03
+    # logarithm of the zoom, and k₁: other values from which fits start, and standard deviations of
+    # the priors
+    starts: tuple[float, float] = (0.03, 0.2)
+    priors: tuple[float, float] = (0.05, 0.3)
+    # standard deviations of a zoom or a distortion; at most 1.3 for the right camera
+    min_significance: float = 2.5
+    turn_iterations: int = 8  # iterations of the fit of a turn
+    min_turn_step: float = 1e-4  # rad, and in both parameters: a shorter step ends this fit
+    # standard deviations of the logarithm of the focal length and of k₁ in this fit
+    turn_priors: tuple[float, float] = (0.5, 0.3)
+    # residual of a turn with any camera divided by that of the motion: at most 1.3 for turns, 2.8
+    # and more if the camera moved
+    max_turn_residual: float = 2.0
+    # misfit
+    regions: int = 10  # regions along the longer side
+    min_rays_of_region: int = 8  # rays of a region that is judged
+    min_parallax: float = 0.05  # px of the level: smaller parallax of a region counts as this
+    # distance from epipolar lines divided by parallax: at most 0.032 on rendered scenes
+    max_misfit: float = 0.07
+
+
 EGOMOTION = EgomotionSettings()
 LIGHT = LightSettings()
+INTRINSICS = IntrinsicsSettings()
 DEPTH = DepthSettings()
 SPARSE = SparseSettings()
 PROPOSALS = ProposalSettings()
