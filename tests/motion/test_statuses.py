@@ -174,7 +174,7 @@ def test_a_scene_that_lies_partly_behind_the_camera(scene, factor, code):
 
 @pytest.mark.parametrize(
     ("distance", "deviation", "code"),
-    [(0.05, 1e-3, None), (0.5, 0.2, None), (0.5, 0.1, "behind_camera")],
+    [(0.05, 1e-3, None), (0.4, 0.14, None), (0.4, 0.1, "behind_camera")],
 )
 def test_noise_around_zero_lies_not_behind_the_camera(scene, distance, deviation, code):
     """Points count as behind only beyond three deviations, and beyond a share of inverse depth.
@@ -211,8 +211,17 @@ def test_distant_points_are_not_uncertain(scene):
     inverse_depth = 1 / scene.depth
     usual = float(np.median(inverse_depth))
     inverse_depth[:60] = 0.01 * usual
-    assert judged(scene, inverse_depth=inverse_depth, deviation=0.2 * usual) is None
+    assert judged(scene, inverse_depth=inverse_depth, deviation=0.05 * usual) is None
     assert judged(scene, inverse_depth=inverse_depth, deviation=0.6 * usual) == "uncertain"
+
+
+@pytest.mark.parametrize(("factor", "code"), [(0.9, None), (1.1, "uncertain")])
+def test_depth_that_is_expected_to_be_off(scene, factor, code):
+    usual = float(np.median(1 / scene.depth))
+    deviation = factor * CHECKS.max_expected_error / CHECKS.median_ratio
+    far = np.minimum(1 / scene.depth, usual)  # relative deviations count from the median on
+    found = judged(scene, inverse_depth=far, deviation=deviation * usual)
+    assert found == code and (code is None or "half of the depth" in found.message)
 
 
 def test_the_truth_explains_the_frames(scene):

@@ -73,12 +73,8 @@ def _uncertain_status(estimate: Estimate, visible: np.ndarray) -> Status | None:
     inverse_depth = estimate.inverse_depth[sample][visible]
     deviation = estimate.inverse_depth_std[sample][visible]
     median_depth = median(np.abs(inverse_depth))
-    has_depth = inverse_depth > 0
-    expected_error = (
-        CHECKS.median_ratio * median(deviation[has_depth] / inverse_depth[has_depth])
-        if has_depth.any()
-        else 0.0
-    )
+    relative_deviation = deviation / np.maximum(inverse_depth, median_depth)
+    expected_error = CHECKS.median_ratio * median(relative_deviation)
     if expected_error > CHECKS.max_expected_error:
         return Status(
             "uncertain",
@@ -86,10 +82,7 @@ def _uncertain_status(estimate: Estimate, visible: np.ndarray) -> Status | None:
             "take frames farther apart, or move the camera sideways; result.inverse_depth_std "
             "tells where depth is reliable",
         )
-    share = (
-        deviation
-        > np.float32(CHECKS.max_relative_deviation) * np.maximum(inverse_depth, median_depth)
-    ).mean()
+    share = (relative_deviation > np.float32(CHECKS.max_relative_deviation)).mean()
     if share <= CHECKS.max_uncertain_share:
         return None
     return Status(
