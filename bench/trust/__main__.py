@@ -174,7 +174,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         conditions = {
             **machine(),
             "code": digest,
-            "cases": f"{len(records)}, of which {stale} ran with earlier code",
+            "cases": f"{len(records)}, of which {stale}, with a star, ran with earlier code",
         }
         return report(list(records.values()), conditions, missing)
 

@@ -25,7 +25,7 @@ MIN_POSES = 3  # poses of a piece that has a path
 MIN_PIXELS = 50  # pixels of a frame with a true depth
 # A camera whose path is shorter than this share of the median depth only turns.
 MIN_PATH = 1e-3
-# Share of the frames that have to be posed and green for a sequence to count as posed and green.
+# Share of the frames that have to have depth, or be green, for a sequence to count so.
 MOST = 0.5
 
 OUTCOMES = ("wrong, green", "wrong, flagged", "right, flagged", "right, green", "refused")
@@ -68,6 +68,7 @@ class Piece:
     """A piece of a result."""
 
     frames: int
+    with_depth: int  # frames that have depth
     green: int  # frames that `is_green` accepts
     converged: int  # frames whose status alone is green
     expected: float | None  # median over frames of the expected relative error of depth
@@ -105,6 +106,7 @@ def judge_sequence(
         pieces.append(
             Piece(
                 frames=len(members),
+                with_depth=sum(bool(np.isfinite(result.depth_error[k])) for k in members),
                 green=int(green[members].sum()),
                 converged=int(converged[members].sum()),
                 expected=_expected([result.depth_error[k] for k in members]),
@@ -137,12 +139,12 @@ def outcome(frames: int, pieces: Sequence[Piece]) -> str:
     """Return one of `OUTCOMES`.
 
     A sequence is wrong if any piece is wrong, and green if any frame of a wrong piece is. If none
-    is wrong, it is green if most of its frames are, and refused if most have no pose.
+    is wrong, it is green if most of its frames are, and refused if most have no depth.
     """
     wrong = [piece for piece in pieces if piece.is_wrong]
     if wrong:
         return "wrong, green" if any(piece.green for piece in wrong) else "wrong, flagged"
-    if sum(piece.frames for piece in pieces) < MOST * frames:
+    if sum(piece.with_depth for piece in pieces) < MOST * frames:
         return "refused"
     is_most_green = sum(piece.green for piece in pieces) >= MOST * frames
     return "right, green" if is_most_green else "right, flagged"
@@ -252,7 +254,8 @@ def judge_pair(
     converged = result.status == "converged"
     green = is_green_pair(result)
     piece = Piece(
-        frames=1 if has_depth else 0,
+        frames=1,
+        with_depth=int(has_depth),
         green=int(green),
         converged=int(converged),
         expected=_expected([result.depth_error]),

@@ -38,7 +38,7 @@ own scale). A camera that only turns has no depth: stated depth is wrong then. A
 its status is `converged` and its grade is good or fair; other frames are flagged. A sequence is
 wrong and green if a frame of a wrong piece is green. It is right and flagged if no piece is wrong
 and less than half of its frames are green; refused if no piece is wrong and less than half of its
-frames have a pose. Clean inputs have nothing wrong: one that is refused counts as right and
+frames have depth. Clean inputs have nothing wrong: one that is refused counts as right and
 flagged. A flag is due where the camera only turns.""".replace("\n", " ")
 
 
@@ -114,8 +114,8 @@ def _extreme(values: Sequence[float], which: Any) -> str:
     return f"{which(values):.4g}" if values else EMPTY_CELL
 
 
-def case_table(records: Sequence[Record]) -> Table:
-    """Return a row for each case, the worst first."""
+def case_table(records: Sequence[Record], code: str) -> Table:
+    """Return a row for each case, the worst first; a star marks results of other code."""
     order = {outcome: k for k, outcome in enumerate(OUTCOMES)}
     rows = []
     for record in sorted(records, key=lambda r: (order[r["outcome"]], r["name"])):
@@ -127,7 +127,7 @@ def case_table(records: Sequence[Record]) -> Table:
         )
         rows.append(
             [
-                record["name"],
+                record["name"] + " \\*" * (record.get("code") != code),
                 record["half"],
                 record["outcome"],
                 ", ".join(piece.get("faults", record.get("faults", ()))) or EMPTY_CELL,
@@ -248,7 +248,7 @@ def report(records: Sequence[Record], conditions: Mapping[str, Any], missing: Se
     for task in ("sequence", "pair"):
         chosen = [record for record in judged if record["task"] == task]
         if chosen:
-            blocks += [f"## Every {task}", case_table(chosen)]
+            blocks += [f"## Every {task}", case_table(chosen, conditions.get("code", ""))]
     for title, lines in (("## Failed", failed), ("## Missing", list(missing))):
         if lines:
             blocks += [title, lines]

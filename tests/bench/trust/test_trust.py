@@ -28,7 +28,7 @@ def result_of(poses, depth, code="converged", error=0.02):
             "checks": (),
             "grade": lambda self, k: grade_depth(Status(code), error),
             "grades": property(lambda self: [self.grade(k) for k in range(count)]),
-            "depth_error": np.full(count, error),
+            "depth_error": np.full(count, error if np.isfinite(depth).any() else np.nan),
             "depth": lambda self, k: depth,
             "__len__": lambda self: count,
         },
@@ -90,7 +90,7 @@ def test_depth_of_a_camera_that_only_turns_is_invented():
     turning = np.array([pose_matrix((0, 0, 0, 0, 0.02 * k, 0)) for k in range(16)])
     assert judged(turning, TRUE_DEPTH, truth=turning)["pieces"][0]["faults"] == ("invented depth",)
     orientations = judged(turning, TRUE_DEPTH * np.nan, "pure_rotation", truth=turning)
-    assert orientations["outcome"] == "right, flagged"
+    assert orientations["outcome"] == "refused"
 
 
 def test_cases_have_their_own_names_and_scenes_one_half():
@@ -128,15 +128,15 @@ def test_the_report_lists_wrong_and_flagged_cases():
         "name": "room", "task": "sequence", "half": "A", "clean": True, "flag due": False,
         "outcome by status": "wrong, green",
         "statuses": {"converged": 2}, "messages": ["no parallax"],
-        "focal": 110.0, "true focal": 100.0,
+        "focal": 110.0, "true focal": 100.0, "code": "new",
     }  # fmt: skip
     errors = {"rotation": 3.0, "path": 0.1, "direction": None, "depth": 0.2}
     piece = {"frames": 2, "faults": ["path"], "errors": errors, "check": {"excess": 0.3}}
     wrong = record | {"outcome": "wrong, green", "pieces": [piece]}
     refused = record | {"name": "hall", "outcome": "refused", "pieces": []}
-    text = report.report([wrong, refused], {}, [])
+    text = report.report([wrong, refused | {"code": "old"}], {"code": "new"}, [])
     assert "- room: path" in text
-    assert "- hall: no parallax" in text
+    assert "- hall: no parallax" in text and "| hall \\* | A |" in text
     assert "| room | A | wrong, green | path | 2 converged |" in text
 
 
