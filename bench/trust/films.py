@@ -14,7 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.trust import worlds
-from bench.trust.worlds import FRAMES, HEIGHT, MAKERS, WIDTH, World, with_traffic, with_truck
+from bench.trust.worlds import (
+    FRAMES,
+    HEIGHT,
+    MAKERS,
+    OTHER_PLACE,
+    WIDTH,
+    World,
+    with_traffic,
+    with_truck,
+)
 from tisfm import scenes
 from tisfm.camera import Camera
 from tisfm.rigid import pose_matrix
@@ -92,7 +101,7 @@ def _render_film(
     kind, strength = disturbance.kind, disturbance.strength
     random = np.random.default_rng(7)
     if kind == "cut":
-        return _joined(render_film(name, Disturbance(), size, count), size, count)
+        return _joined(name, size, count)
     world = MAKERS[name]()
     world = replace(world, poses=world.poses[:count], focal=world.focal * size[1] / WIDTH)
     if kind in CHANGES_OF_WORLD:
@@ -191,9 +200,14 @@ def _render_distorted(
     return np.array(bent), np.array([cv2.remap(d, map_x, map_y, cv2.INTER_NEAREST) for d in depth])
 
 
-def _joined(first: TrueFilm, size: tuple[int, int], count: int) -> TrueFilm:
-    """Return a film that cuts to another place after its first half."""
-    second, half = render_film("table 1", Disturbance(), size, count), count // 2
+def _joined(name: str, size: tuple[int, int], count: int) -> TrueFilm:
+    """Return a film that cuts to another place, with other textures, after its first half."""
+    kind, seed = name.rsplit(" ", 1)
+    first, second = (
+        render_film(each, Disturbance(), size, count)
+        for each in (name, f"{kind} {int(seed) + OTHER_PLACE}")
+    )
+    half = count // 2
     shift = pose_matrix((CUT_SHIFT, 0, 0, 0, math.pi / 2, 0))
     return TrueFilm(
         frames=np.concatenate([first.frames[:half], second.frames[half:]]),
