@@ -308,7 +308,7 @@ MAKERS: dict[str, Callable[[], World]] = {
     **{f"room {k}": lambda k=k: room(k) for k in (*range(4), OTHER_PLACE)},  # type: ignore[misc]
     **{f"bare room {k}": lambda k=k: room(k, textured=False) for k in range(2)},  # type: ignore[misc]
     **{f"yard {k}": lambda k=k: yard(k) for k in (*range(5), OTHER_PLACE + 1)},  # type: ignore[misc]
-    **{f"street {k}": lambda k=k: street(k) for k in range(4)},  # type: ignore[misc]
+    **{f"street {k}": lambda k=k: street(k) for k in (*range(4), OTHER_PLACE)},  # type: ignore[misc]
     **{f"table {k}": lambda k=k: table(k) for k in range(2)},  # type: ignore[misc]
     "floor": lambda: plane("floor", (0, 0, -1), (0, -0.14, 0), wobble=0.0, seed=1),
     "wobbling floor": lambda: plane(

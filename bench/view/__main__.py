@@ -194,6 +194,8 @@ def lengthen_reconstruction(short: Path, long: Path, count: int) -> None:
         poses=poses,
         piece=np.zeros(count, np.int32),
         status=tuple(result.status[number] for number in numbers),
+        depth_error=result.depth_error[numbers],
+        depth_share=result.depth_share[numbers],
         names=tuple(f"{k:06d}" for k in range(count)),
         times=tuple(k / 30 for k in range(count)),
         folder=long,
