@@ -24,7 +24,7 @@ from bench.shared.peer_process import THREAD_VARIABLES
 from bench.shared.results import RESULTS, ROOT, machine, wide_console, write_results
 from bench.shared.sequences import data_folder
 from bench.shared.worker import Worker, WorkerDied
-from bench.trust.cases import Case, all_cases, by_scene, smoke_cases
+from bench.trust.cases import Case, all_cases, by_film, smoke_cases
 from bench.trust.report import count_table, is_false_alarm, is_missed, report
 
 # Code that does not decide the results: folders of tisfm, and modules of this bench.
@@ -98,9 +98,9 @@ def read_records(path: Path) -> dict[str, Any]:
 
 
 def run_cases(cases: Sequence[Case], options: argparse.Namespace, keep: Any) -> None:
-    """Run the cases in worker processes, scene by scene; call ``keep(case, answer)`` for each."""
+    """Run the cases in worker processes, film by film; call ``keep(case, answer)`` for each."""
     groups: queue.SimpleQueue[list[Case]] = queue.SimpleQueue()
-    for group in sorted(by_scene(list(cases)), key=len, reverse=True):
+    for group in by_film(list(cases)):
         groups.put(group)
     environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1")
     if options.data is not None:
@@ -167,6 +167,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     waiting = [
         case for case in cases if options.again or records.get(case.name, {}).get("code") != digest
     ]
+    known = set(records)
     lock = threading.Lock()
 
     def page() -> str:
@@ -187,7 +188,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 records[case.name] = record
                 write_results(path, page(), {"code": digest, "cases": list(records.values())})
 
-        run_cases(waiting, options, keep)
+        for is_known in (False, True):  # what was never run comes first
+            run_cases([c for c in waiting if (c.name in known) == is_known], options, keep)
     write_results(path, page(), {"code": digest, "cases": list(records.values())})
     chosen = [records[case.name] for case in cases]
     judged = [record for record in chosen if "failure" not in record]

@@ -188,9 +188,10 @@ def smoke_cases() -> list[Case]:
     ]
 
 
-def by_scene(cases: list[Case]) -> list[list[Case]]:
-    """Return the cases in groups of one scene each, which share their films."""
+def by_film(cases: list[Case]) -> list[list[Case]]:
+    """Return the cases in groups that share a film, mixed, so that an ended run has all kinds."""
     groups: dict[str, list[Case]] = {}
     for case in cases:
-        groups.setdefault(case.scene, []).append(case)
-    return list(groups.values())
+        groups.setdefault(f"{case.scene}, {case.disturbance.name}", []).append(case)
+    mixed = sorted(groups, key=lambda name: hashlib.sha256(name.encode()).digest())
+    return [groups[name] for name in mixed]

@@ -98,7 +98,7 @@ def test_cases_have_their_own_names_and_scenes_one_half():
     assert len({case.name for case in listed}) == len(listed)
     assert len(cases.sequence_cases()) >= 60 and len(cases.pair_cases()) >= 80
     assert {case.half for case in listed} == {"A", "B"}
-    for group in cases.by_scene(listed):
+    for group in cases.by_film(listed):
         assert len({case.half for case in group}) == 1
 
 
