@@ -102,9 +102,10 @@ def find_object_path(
         )
     except ValueError:  # the views do not fit together
         return "its tracks do not fit one rigid motion"
-    if not path.pieces:
+    pieces = [piece for piece in path.pieces if not piece.only_turns]
+    if not pieces:
         return "its motion gives no depth: it hardly turns or changes its distance, or is not rigid"
-    piece = max(path.pieces, key=lambda piece: len(piece.poses))
+    piece = max(pieces, key=lambda piece: len(piece.poses))
     object_path = ObjectPath(frames=numbers, model=piece, depths=[])
     if not with_depth:
         return object_path
