@@ -1,10 +1,14 @@
 """Grades say how far depth is expected to be off."""
 
+import warnings
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import tisfm
 from tisfm.grade import GRADES, GradeSummary, depth_error, grade_depth
+from tisfm.scenes import static_scene
 from tisfm.status import Status
 
 SHAPE = (20, 30)
@@ -95,3 +99,22 @@ def test_summary_of_grades():
     )
     assert summary.counts_text == "1 good, 2 fair, 1 no pose"
     assert GradeSummary.of(grades[3:]).text == "no pose"
+
+
+def test_a_pair_with_a_guessed_focal_length_is_poor(tmp_path):
+    scene = static_scene("sideways", 48, 64)
+    settings = tisfm.Settings.preset("fast", motion="camera")
+    known = tisfm.interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=settings)
+    assert known.focal_deviation == 0 and known.grade.is_green
+    guessed = replace(known, focal_deviation=np.inf)
+    assert guessed.grade == "poor" and guessed.depth_error > known.depth_error
+    guessed.save(tmp_path / "pair.npz")
+    again = tisfm.Interpretation.load(tmp_path / "pair.npz")
+    assert again.focal_deviation == np.inf and again.grade == "poor"
+    frames = [scene.frame0, scene.frame1]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        (result,) = tisfm.interpret_sequence(frames, settings=settings)
+        field = tisfm.interpret(*frames)
+    assert result.focal_deviation == np.inf
+    assert field.focal_deviation == 0 and field.grade == "poor" and np.isnan(field.depth_error)

@@ -61,6 +61,9 @@ class Interpretation:
         Energy and relative change of every iteration.
     version : str
         Version of tisfm that computed it.
+    focal_deviation : float
+        Relative standard deviation of the focal length: 0 if it was given, infinite for a guess.
+        `depth_error` and `grade` depend on it.
 
     Examples
     --------
@@ -91,6 +94,7 @@ class Interpretation:
     inverse_depth_std: np.ndarray | None = field(default=None, repr=False)
     motions: np.ndarray | None = None
     labels: np.ndarray | None = field(default=None, repr=False)
+    focal_deviation: float = field(default=0.0, repr=False)
 
     @cached_property
     def tau(self) -> np.ndarray:
@@ -114,7 +118,7 @@ class Interpretation:
         """Expected relative error of the depth; NaN without depth, or with ``motion="field"``.
 
         Half of the pixels that are visible in frame 1 should have a smaller error, apart from the
-        scale. It follows from the deviations, and is at most 1.
+        scale. It follows from the deviations of depth and of the focal length, and is at most 1.
         """
         return self._depth_quality[0]
 
@@ -145,7 +149,7 @@ class Interpretation:
     def _depth_quality(self) -> tuple[float, float]:
         if self.inverse_depth_std is None:
             return float("nan"), 0.0
-        return depth_error(self.inverse_depth, self.inverse_depth_std)
+        return depth_error(self.inverse_depth, self.inverse_depth_std, self.focal_deviation)
 
     def points(
         self,

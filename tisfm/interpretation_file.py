@@ -4,6 +4,7 @@
 """
 
 import json
+import math
 import os
 import sys
 from collections.abc import Iterable, Mapping
@@ -33,7 +34,9 @@ _HISTORY_ENTRIES = tuple(f"history_{record.name}" for record in fields(History))
 _REQUIRED_ARRAYS = ("rho", "flow", "inverse_depth", "confidence", "occlusion", "frame")
 _RIGID_ARRAYS = ("inverse_depth_std", "motions", "labels")  # stored unless motion="field"
 _ENTRIES = ("about", *_REQUIRED_ARRAYS, *_RIGID_ARRAYS, *_HISTORY_ENTRIES)
-_ABOUT_ENTRIES = ("format", "version", "camera", "settings", "status", "message", "packed")
+_ABOUT_ENTRIES = (
+    "format", "version", "camera", "settings", "status", "message", "packed", "focal_deviation",
+)  # fmt: skip
 _RIGID_STATUSES = (
     "pose_mismatch", "little_parallax", "pure_rotation", "two_motions", "behind_camera",
     "unexplained", "uncertain",
@@ -91,6 +94,7 @@ def write_interpretation(
         "status": str(result.status),
         "message": result.status.message,
         "packed": {},
+        "focal_deviation": result.focal_deviation if np.isfinite(result.focal_deviation) else None,
     }
     arrays = {name: getattr(result, name) for name in (*_REQUIRED_ARRAYS, *_RIGID_ARRAYS)}
     arrays.update({f"history_{name}": array for name, array in vars(result.history).items()})
@@ -184,6 +188,9 @@ def _read(file: NpzFile) -> dict[str, Any]:
             **{name.removeprefix("history_"): array for name, array in history.items()}
         ),
         version=about["version"],
+        focal_deviation=math.inf
+        if about["focal_deviation"] is None
+        else float(about["focal_deviation"]),
     )
 
 
@@ -255,10 +262,16 @@ def _read_about(file: NpzFile) -> dict[str, Any]:
         )
     if about.get("format") == _READABLE_FORMATS[0]:
         about = {"packed": {}} | about
+    about = {"focal_deviation": 0.0} | about  # earlier versions did not state it
     _check_names("about", about, _ABOUT_ENTRIES)
     for name in ("version", "status", "message"):
         if not isinstance(about[name], str):
             raise InputError(f"its {name} is {about[name]!r}, expected text")
+    deviation = about["focal_deviation"]
+    if deviation is not None and not (
+        isinstance(deviation, (int, float)) and not isinstance(deviation, bool) and deviation >= 0
+    ):
+        raise InputError(f"its focal_deviation is {deviation!r}, expected 0 or more, or null")
     return about
 
 

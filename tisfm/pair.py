@@ -1,5 +1,6 @@
 """The interpretation of a pair of frames."""
 
+import math
 from typing import TYPE_CHECKING
 
 import cv2
@@ -255,6 +256,7 @@ def interpret_pair(
         status=status,
         history=history,
         version=__version__,
+        focal_deviation=math.inf if camera is None and settings.motion != "field" else 0.0,
     )
 
 

@@ -1,9 +1,11 @@
 """The interpretation of all pairs of a sequence, with two frames in memory at a time."""
 
+import math
 import os
 import warnings
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -170,12 +172,14 @@ def _interpret_pairs(
     window: Window | None,
 ) -> Iterator[Interpretation]:
     warned_count, is_first = 0, True
+    focal_deviation = _focal_deviation(camera, settings)
     with closing(pairs):
         for pair in pairs:
             warned_count = _warn_of_skipped(source, warned_count)
             if is_first:
                 camera = _camera_of_prepared_frames(source, pair, camera, settings)
             result = pair.interpret(camera=camera, settings=settings, window=window)
+            result = replace(result, focal_deviation=focal_deviation)
             camera, is_first = camera or result.camera, False  # the guess of the first pair is kept
             del pair  # frees its first frame before the next frame is read
             yield result
@@ -188,6 +192,7 @@ def _interpret_in_workers(
 ) -> Iterator[Interpretation]:
     """Interpret the first pair in this process, to find the camera, and the others in workers."""
     frames, pairs = source.open()
+    focal_deviation = _focal_deviation(camera, source.settings)
     with closing(pairs):
         first_pair = next(pairs)
         refuse_float_frames(first_pair)
@@ -196,19 +201,25 @@ def _interpret_in_workers(
         result = first_pair.interpret(camera=camera, settings=source.settings)
         camera, number = camera or result.camera, source.number(first_pair) + 1
         del first_pair
-        yield result
+        yield replace(result, focal_deviation=focal_deviation)
         del result
         if number >= len(frames):  # a video may have more frames than its header says
             for pair in pairs:
-                yield pair.interpret(camera=camera, settings=source.settings)
+                result = pair.interpret(camera=camera, settings=source.settings)
+                yield replace(result, focal_deviation=focal_deviation)
             _warn_of_skipped(frames, warned_count)
             return
     warned_reasons = {reason for _, reason in frames.skipped[:warned_count]}
     for outcome in interpret_with_workers(source, camera=camera, workers=workers, first=number):
         if isinstance(outcome, Interpretation):
-            yield outcome
+            yield replace(outcome, focal_deviation=focal_deviation)
         elif outcome not in warned_reasons:
             warnings.warn(f"{outcome}; the frame is skipped", stacklevel=2)
+
+
+def _focal_deviation(camera: Camera | None, settings: Settings) -> float:
+    """Return the relative standard deviation of the focal length; infinite for a guess."""
+    return math.inf if camera is None and settings.motion != "field" else 0.0
 
 
 def _warn_of_skipped(source: FrameSource, warned_count: int) -> int:

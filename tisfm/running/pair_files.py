@@ -3,7 +3,7 @@
 import math
 import os
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,6 @@ from tisfm.folders.files import file_checksum
 from tisfm.folders.result_folder import InputFiles
 from tisfm.folders.run_record import ENDINGS
 from tisfm.formats import atomic_write, choose_depth_scale, write_depth_png, write_flo, write_png
-from tisfm.grade import depth_error, grade_depth
 from tisfm.interpretation import Interpretation
 from tisfm.machine.text import printable
 from tisfm.rigid import rigid_motion
@@ -148,6 +147,7 @@ class PairFiles:
 
         Raises ValueError if a file is an input.
         """
+        result = replace(result, focal_deviation=self.focal_deviation)
         depth_limit = (
             None if ranges is None else ranges.depth_limit(result, has_unit=pose is not None)
         )
@@ -202,7 +202,7 @@ class PairFiles:
             "motions": _finite_list(motions),
             "frames": digest,
             "times": times,
-            **_summary(result, self.focal_deviation),
+            **_summary(result),
         }
         files = {
             ending: file_checksum(self.folder / f"{name}{ending}")
@@ -233,19 +233,15 @@ def check_outputs(outputs: Collection[str]) -> tuple[str, ...]:
     return tuple(output for output in ENDINGS if output in outputs)
 
 
-def _summary(result: Interpretation, focal_deviation: float) -> dict[str, Any]:
+def _summary(result: Interpretation) -> dict[str, Any]:
     """Return the values of a pair, except its status, for the table of a run."""
     with np.errstate(over="ignore"):
         speed = np.sqrt(result.flow[..., 0] ** 2 + result.flow[..., 1] ** 2)
     is_finite = np.isfinite(speed)
     mean_speed = np.mean(speed, where=is_finite, dtype=np.float64) if is_finite.any() else np.nan
-    error, grade = result.depth_error, result.grade
-    if result.inverse_depth_std is not None:
-        error, _ = depth_error(result.inverse_depth, result.inverse_depth_std, focal_deviation)
-        grade = grade_depth(result.status, error)
     return {
-        "grade": str(grade),
-        "depth_error": _round(error),
+        "grade": str(result.grade),
+        "depth_error": _round(result.depth_error),
         "speed": _round(float(mean_speed)),
         "occluded": _round(np.count_nonzero(result.occlusion) / result.occlusion.size),
         "confidence": _round(result.confidence.mean(dtype=np.float64)),

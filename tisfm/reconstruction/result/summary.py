@@ -40,7 +40,8 @@ def summarise(
     focal = describe_focal(
         calibration.focal or camera.focal, calibration.focal_std, calibration.shape
     )
-    sentences.append(f"The focal length is {focal}, {calibration.origin}.")
+    advice = ": pose and depth depend on it" if calibration.origin == "given" else ""
+    sentences.append(f"The focal length is {focal}, {calibration.origin}{advice}.")
     counts = f" ({grades.counts_text})" if len(grades.counts) > 1 else ""
     sentences.append(f"Grade {grades.text}{counts}.")
     for code in dict.fromkeys(str(status) for status in statuses if status != "converged"):
