@@ -55,3 +55,19 @@ class Resampling:
     ) -> np.ndarray:  # (H, W) bool
         """Return the pixels that have no data in frame 0, or where they move to in frame 1."""
         return ~(self.valid & self.valid[target_pixels(flow)])
+
+
+class ZoomRemoval(Resampling):
+    """The map from a frame to the same frame with another focal length."""
+
+    def __init__(
+        self,
+        zoom: float,  # focal length of the old frame over that of the new frame
+        center: tuple[float, float],  # (cx, cy): principal point, px
+        shape: tuple[int, int],  # height and width, px
+    ) -> None:
+        height, width = shape
+        flow = np.empty((2, height, width), np.float32)
+        flow[0] = (zoom - 1) * (np.arange(width) - center[0])
+        flow[1] = (zoom - 1) * (np.arange(height) - center[1])[:, None]
+        super().__init__(flow)

@@ -76,6 +76,8 @@ def reconstruct(
         ``"radial"`` also finds one coefficient of the lens, k1, and removes its distortion. If a
         camera is given with ``"focal"`` or ``"radial"``, its focal length is a guess. Its
         distortion displaces pixels in the same way with every estimated focal length.
+        Without this argument, a zoom is also found and removed (`Reconstruction.focal`), if the
+        tracks show it; a given focal length is then that of the first frame.
         `Reconstruction.calibration` tells how reliable the estimate is. If poses are given without
         a camera, the focal length is guessed from the first image file or the size of the frames.
     settings : Settings, optional
@@ -176,6 +178,7 @@ def reconstruct(
         raise InputError(
             f'poses are given and calibrate="{calibrate}": a camera is estimated with the path only'
         )
+    revises_camera = calibrate is None and poses is None and settings.motion == "camera"
     calibrate = resolve_calibrate(calibrate, is_known=camera is not None or poses is not None)
     if depth_of not in get_args(DepthOf):
         raise InputError(f'depth_of is {depth_of!r}: expected "all", "keyframes" or "none"')
@@ -250,6 +253,7 @@ def reconstruct(
                     depth_of=depth_of,
                     fixed_pixels=fixed_pixels,
                     object_sizes=lengths,
+                    revises_camera=revises_camera,
                     are_labels_prepared=result_labels is not None
                     and result_labels.camera is not None,
                 )

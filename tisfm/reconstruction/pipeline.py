@@ -29,6 +29,7 @@ from tisfm.reconstruction.objects.sequence_labels import (
     find_static_path,
     label_remaining_frames,
 )
+from tisfm.reconstruction.path.camera_revision import revise_path
 from tisfm.reconstruction.path.given_path import given_path
 from tisfm.reconstruction.path.path_solver import CameraPath, PathSolver
 from tisfm.reconstruction.path_checks.fixed_texture import camera_turns, find_fixed_pixels
@@ -92,6 +93,8 @@ class Job:
     depth_of: DepthOf = "all"  # the frames whose depth is estimated
     # known lengths of moving objects, by their ids
     object_sizes: Mapping[int, float] = field(default_factory=dict)
+    # whether a zoom is searched that the camera does not state
+    revises_camera: bool = False
     # whether given labels already belong to frames without distortion and readout effect
     are_labels_prepared: bool = False
 
@@ -133,6 +136,8 @@ class PathResult:
     camera: Camera  # camera of the frames of the source, before crop and reduction
     # (H, W) bool, or None: pixels that are fixed on the sensor, and masked
     fixed_pixels: np.ndarray | None = None
+    # (N,) float64: focal length of each frame over that of `camera`; None if it is constant
+    zoom: np.ndarray | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,7 +245,7 @@ def solve_path(job: Job, reading: ReadingResult) -> PathResult:
             full_camera = replace(
                 full_camera, readout=reading.camera.full_readout(path.rolling.readout)
             )
-        frames.correct(path.camera, path.rolling)
+        frames.correct(path.camera, path.rolling, path.zoom)
         if mask is not None and not path.camera.is_pinhole:
             lens = Undistortion(path.camera, *frames.shape)
             mask = lens.apply_nearest(mask.astype(np.float32)) > 0
@@ -263,7 +268,7 @@ def solve_path(job: Job, reading: ReadingResult) -> PathResult:
         path = find_static_path(frames, labels, solve_static_path, correct)
         refuse_unknown_ids(job.object_sizes, frames.object_ids())
     job.progress("path", len(reading.names), len(reading.names))
-    return PathResult(path=path, camera=full_camera, fixed_pixels=mask)
+    return PathResult(path=path, camera=full_camera, fixed_pixels=mask, zoom=path.zoom)
 
 
 def _track_and_solve(
@@ -422,6 +427,7 @@ def write_result(
         keyframes=depth.keyframes,
         camera=reading.frames.camera,
         calibration=calibration,
+        zoom=path_result.zoom,
         settings=job.settings,
         names=reading.names,
         times=reading.times,
@@ -470,7 +476,8 @@ def _solve_or_take_path(
         readout=readout,
         is_focal_known=job.calibrate == "nothing" and reading.camera.is_focal_known,
     )
-    return solver.solve(reading.instants)
+    path = solver.solve(reading.instants)
+    return revise_path(path, solver, reading.instants) if job.revises_camera else path
 
 
 def _label_all_frames(job: Job, reading: ReadingResult) -> None:
@@ -495,6 +502,7 @@ def _calibration(job: Job, reading: ReadingResult, path_result: PathResult) -> C
         reading.frames.camera,
         is_estimated=job.calibrate != "nothing",
         focal=path_result.camera.focal,
+        zoom=path_result.zoom,
         readout=(rolling.readout, rolling.deviation) if rolling and is_readout_estimated else None,
     )
     if not calibration.seen:

@@ -1,11 +1,12 @@
 """Adjustment of poses, points and a camera whose focal length may change from frame to frame.
 
 Unknowns of the camera are the logarithm of the focal length, the logarithm of the zoom of each
-frame, and coefficients of the lens. Each of them can be free or fixed. The result has their
-standard deviations, which include what poses and points take from them.
+frame, and coefficients of the lens. Each of them is free or fixed. The result has their standard
+deviations, which include what poses and points take from them. pycolmap's adjustment knows no
+prior of a focal length that changes slowly, so the normal equations are solved here.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +23,7 @@ from tisfm.reconstruction.tracks.views import choose_long_tracks
 # the unknowns that all frames share: logarithm of the focal length, and OpenCV's coefficients
 COMMON = ("focal", "k1", "k2", "p1", "p2")
 MAD_TO_DEVIATION = 1.4826  # standard deviation of a normal distribution over its median distance
+MIN_DEPTH = 1e-6  # smallest depth, in the unit of the poses, that a projection divides by
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,7 +36,7 @@ class TrackBundle:
     points: np.ndarray  # (P, 3) float64: in the world
     views: np.ndarray  # (M,) int: index of the frame of each observation
     indices: np.ndarray  # (M,) int: index of its point
-    positions: np.ndarray  # (M, 2) float64: px from the centre
+    positions: np.ndarray  # (M, 2) float64: px from the principal point
 
     @classmethod
     def from_piece(
@@ -76,7 +78,7 @@ class AdjustedCamera:
     """The camera of an adjustment, with its standard deviations."""
 
     bundle: TrackBundle  # with adjusted poses and points
-    common: np.ndarray  # (5,) float64: log focal length / px, k1, k2, p1, p2
+    common: np.ndarray  # (5,) float64: logarithm of the focal length in px, k1, k2, p1, p2
     common_deviation: np.ndarray  # (5,): 0 where fixed
     zoom: np.ndarray  # (F,) float64: logarithm of the zoom of each frame; 0 in the first frame
     zoom_deviation: np.ndarray  # (F,): 0 where fixed
@@ -97,18 +99,19 @@ class AdjustedCamera:
 def adjust_camera(
     bundle: TrackBundle,
     focal: float,  # px: start value
-    free: Sequence[str] = (),  # the free unknowns of `COMMON`
+    free: Sequence[str] = (),  # the free unknowns of `COMMON`; the others keep their start value
     *,
     has_zoom: bool = False,  # whether each frame has a focal length of its own
+    # (F,): zoom that was removed from the tracks before; the prior holds for the sum
+    removed_zoom: np.ndarray | None = None,
+    # px: residuals beyond these have a decreasing weight; adjustments follow one another
     scales: Sequence[float] = CALIBRATION.bundle_scales,
-    steps: int = CALIBRATION.bundle_steps,
+    steps: int = CALIBRATION.bundle_steps,  # largest number of steps of each adjustment
 ) -> AdjustedCamera:
     """Adjust poses, points and the free unknowns of the camera.
 
-    `steps` bounds the steps with each of the `scales` (px) of the robust loss.
-
-    The zoom of the first frame is 0. The change of the zoom from frame to frame hardly changes, as
-    far as the tracks allow; single jumps are allowed.
+    The zoom of the first frame is 0. A prior says that the zoom per frame hardly changes from frame
+    to frame; single jumps are allowed. Coefficients of the lens start at 0.
 
     References
     ----------
@@ -125,48 +128,82 @@ def adjust_camera(
         points=bundle.points,
         common=np.array([np.log(focal), 0.0, 0.0, 0.0, 0.0]),
         zoom=np.zeros(count),
+        removed_zoom=np.zeros(count) if removed_zoom is None else removed_zoom,
     )
     for scale in scales:
         state = _minimise(bundle, state, is_free, scale, steps)
-    residuals, camera_jacobian, point_jacobian, _ = _linearise(bundle, state)
-    deviation = MAD_TO_DEVIATION * float(np.median(np.abs(residuals)))
-    reduced = _normal_equations(
-        bundle, state, residuals, camera_jacobian, point_jacobian, is_free, deviation, scale
+    linear = _linearise(bundle, state)
+    variances = np.zeros(len(is_free))
+    inverse = np.linalg.pinv(
+        _reduce(bundle, state, linear, is_free, scales[-1]).matrix, hermitian=True
     )
-    covariance = np.zeros(len(is_free))
-    inverse = np.linalg.pinv(reduced.matrix, hermitian=True)
-    covariance[is_free] = np.maximum(np.diag(inverse), 0) * CALIBRATION.correlated_observations
-    deviations = np.sqrt(covariance)
+    variances[is_free] = np.maximum(np.diag(inverse), 0) * CALIBRATION.correlated_observations
+    deviations = np.sqrt(variances)
+    costs = _costs(linear.residuals, scales[-1])
     return AdjustedCamera(
         bundle=replace(bundle, poses=state.poses, points=state.points),
         common=state.common,
         common_deviation=deviations[7 * count :],
         zoom=state.zoom,
         zoom_deviation=deviations[6 * count : 7 * count],
-        residual=deviation,
-        costs=np.bincount(
-            bundle.indices, _costs(residuals, scale), minlength=len(bundle.points)
-        ),
+        residual=linear.deviation,
+        costs=np.bincount(bundle.indices, costs, minlength=len(bundle.points)),
     )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _State:
+    """Values of all unknowns."""
+
     poses: np.ndarray
     points: np.ndarray
     common: np.ndarray
     zoom: np.ndarray
+    removed_zoom: np.ndarray  # as for `adjust_camera`
+
+    def moved(self, step: np.ndarray, point_step: np.ndarray) -> "_State":
+        """Return the state after a step of the camera's side and of the points."""
+        count = len(self.poses)
+        motion = step[: 6 * count].reshape(count, 6)
+        poses = Rotation.from_rotvec(motion[:, 3:]).as_matrix() @ self.poses
+        poses[:, :, 3] += motion[:, :3]
+        return replace(
+            self,
+            poses=poses,
+            points=self.points + point_step.reshape(-1, 3),
+            common=self.common + step[7 * count :],
+            zoom=self.zoom + step[6 * count : 7 * count],
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Linear:
+    """Residuals and their derivatives."""
+
+    residuals: np.ndarray  # (M, 2): px
+    # by the camera's side: (t, ω) of every frame, the zooms of all frames, the common unknowns
+    by_camera: csr_matrix
+    by_points: csr_matrix
+
+    @property
+    def deviation(self) -> float:
+        """Robust standard deviation of a coordinate, px."""
+        return MAD_TO_DEVIATION * float(np.median(np.abs(self.residuals)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Reduced:
-    """Normal equations of the camera's side, after points were eliminated."""
+    """Normal equations of the camera's side, after the points were eliminated."""
 
     matrix: np.ndarray
     gradient: np.ndarray
-    coupling: csr_matrix  # camera × points
+    coupling: csr_matrix  # camera's side × points
     inverse_points: csr_matrix  # block diagonal
     point_gradient: np.ndarray
+
+    def point_step(self, step: np.ndarray) -> np.ndarray:
+        """Return the step of the points that belongs to a step of the camera's side."""
+        return np.asarray(-self.inverse_points @ (self.point_gradient + self.coupling.T @ step))
 
 
 def _costs(residuals: np.ndarray, scale: float) -> np.ndarray:
@@ -175,112 +212,91 @@ def _costs(residuals: np.ndarray, scale: float) -> np.ndarray:
     return np.asarray(scale**2 * np.log1p(square / scale**2))
 
 
-def _linearise(
-    bundle: TrackBundle, state: _State
-) -> tuple[np.ndarray, csr_matrix, csr_matrix, np.ndarray]:
-    """Return residuals, (M, 2) px, and the Jacobians by the camera's side and by points."""
-    count, rows = len(bundle.frames), len(bundle.views)
-    rotation, shift = state.poses[bundle.views, :, :3], state.poses[bundle.views, :, 3]
+def _linearise(bundle: TrackBundle, state: _State) -> _Linear:
+    """Return residuals and their derivatives.
+
+    Brown's lens displaces normalised positions, and the focal length of the frame scales them.
+    """
+    count, rows, views = len(bundle.frames), len(bundle.views), bundle.views
+    rotation, shift = state.poses[views, :, :3], state.poses[views, :, 3]
     local = np.einsum("nkl,nl->nk", rotation, state.points[bundle.indices]) + shift
-    depth = np.where(np.abs(local[:, 2]) < 1e-6, 1e-6, local[:, 2])
+    depth = np.where(np.abs(local[:, 2]) < MIN_DEPTH, MIN_DEPTH, local[:, 2])
     x, y = local[:, 0] / depth, local[:, 1] / depth
     _, k1, k2, p1, p2 = state.common
     square = x * x + y * y
-    factor = 1 + k1 * square + k2 * square**2
-    slope = 2 * k1 + 4 * k2 * square
-    lens_x = x * factor + 2 * p1 * x * y + p2 * (square + 2 * x * x)
-    lens_y = y * factor + p1 * (square + 2 * y * y) + 2 * p2 * x * y
-    focal = np.exp(state.common[0] + state.zoom[bundle.views])
-    projected = np.stack([lens_x, lens_y], axis=1) * focal[:, None]
+    factor, slope = 1 + k1 * square + k2 * square**2, 2 * k1 + 4 * k2 * square
+    lens = np.stack(
+        [
+            x * factor + 2 * p1 * x * y + p2 * (square + 2 * x * x),
+            y * factor + p1 * (square + 2 * y * y) + 2 * p2 * x * y,
+        ],
+        axis=1,
+    )
     by_lens = np.empty((rows, 2, 2))
     by_lens[:, 0, 0] = factor + slope * x * x + 2 * p1 * y + 6 * p2 * x
-    by_lens[:, 0, 1] = slope * x * y + 2 * p1 * x + 2 * p2 * y
-    by_lens[:, 1, 0] = slope * x * y + 2 * p1 * x + 2 * p2 * y
+    by_lens[:, 0, 1] = by_lens[:, 1, 0] = slope * x * y + 2 * p1 * x + 2 * p2 * y
     by_lens[:, 1, 1] = factor + slope * y * y + 6 * p1 * y + 2 * p2 * x
     by_local = np.zeros((rows, 2, 3))
     by_local[:, 0, 0] = by_local[:, 1, 1] = 1 / depth
     by_local[:, 0, 2], by_local[:, 1, 2] = -x / depth, -y / depth
-    by_local = focal[:, None, None] * by_lens @ by_local
+    focal = np.exp(state.common[0] + state.zoom[views])[:, None]
+    by_local = focal[..., None] * by_lens @ by_local
     by_turn = np.cross(local[:, None, :], by_local)
-    ones = np.ones(rows)
-    by_common = np.stack(
-        [
-            projected,
-            focal[:, None] * (square * np.stack([x, y])).T,
-            focal[:, None] * (square**2 * np.stack([x, y])).T,
-            focal[:, None] * np.stack([2 * x * y, square + 2 * y * y]).T,
-            focal[:, None] * np.stack([square + 2 * x * x, 2 * x * y]).T,
-        ],
-        axis=2,
+    projected = lens * focal
+    straight = focal * np.stack([x, y], axis=1)
+    by_common = [
+        projected,
+        straight * square[:, None],
+        straight * square[:, None] ** 2,
+        focal * np.stack([2 * x * y, square + 2 * y * y], axis=1),
+        focal * np.stack([square + 2 * x * x, 2 * x * y], axis=1),
+    ]
+    by_camera = np.concatenate(
+        [by_local, by_turn, projected[..., None], np.stack(by_common, axis=2)], axis=2
     )
-    values = np.concatenate([by_local, by_turn, projected[:, :, None], by_common], axis=2)
-    views = bundle.views
-    columns = np.concatenate(
+    columns = np.column_stack(
         [
             6 * views[:, None] + np.arange(6),
-            (6 * count + views)[:, None],
-            7 * count + np.arange(len(COMMON))[None] * np.ones((rows, 1), int),
-        ],
-        axis=1,
+            6 * count + views,
+            np.tile(7 * count + np.arange(len(COMMON)), (rows, 1)),
+        ]
     )
-    camera_jacobian = _sparse(values, columns, 7 * count + len(COMMON))
     point_columns = 3 * bundle.indices[:, None] + np.arange(3)
-    point_jacobian = _sparse(by_local @ rotation, point_columns, 3 * len(state.points))
-    return projected - bundle.positions, camera_jacobian, point_jacobian, ones
+    return _Linear(
+        residuals=projected - bundle.positions,
+        by_camera=_sparse(by_camera, columns, 7 * count + len(COMMON)),
+        by_points=_sparse(by_local @ rotation, point_columns, 3 * len(state.points)),
+    )
 
 
 def _sparse(values: np.ndarray, columns: np.ndarray, width: int) -> csr_matrix:
+    """Return a matrix of two rows for each observation: values (M, 2, K) in columns (M, K)."""
     rows, _, size = values.shape
-    return csr_matrix(
-        (
-            values.ravel(),
-            np.repeat(columns, 2, axis=0).ravel(),
-            np.arange(0, 2 * rows * size + 1, size),
-        ),
-        shape=(2 * rows, width),
-    )
+    indices, begins = np.repeat(columns, 2, axis=0), np.arange(0, 2 * rows * size + 1, size)
+    return csr_matrix((values.ravel(), indices.ravel(), begins), shape=(2 * rows, width))
 
 
-def _normal_equations(
+def _reduce(
     bundle: TrackBundle,
     state: _State,
-    residuals: np.ndarray,
-    camera_jacobian: csr_matrix,
-    point_jacobian: csr_matrix,
-    is_free: np.ndarray,
-    deviation: float,
+    linear: _Linear,
+    is_free: np.ndarray,  # (K,) bool: the free unknowns of the camera's side
     scale: float,
     damping: float = 0.0,
 ) -> _Reduced:
-    count = len(bundle.frames)
-    weight = 1 / (1 + (residuals**2).sum(axis=1) / scale**2) / deviation**2
-    weights = diags(np.repeat(weight, 2))
-    weighted = camera_jacobian.T @ weights
-    matrix = (weighted @ camera_jacobian).toarray()
-    gradient = weighted @ residuals.ravel()
-    _add_zoom_prior(matrix, gradient, state.zoom, bundle.frames)
-    # the scale of the scene: the centre of the farthest camera keeps its distance
-    shifts = state.poses[:, :, 3]
-    far = int(np.argmax(np.linalg.norm(np.einsum("nkl,nk->nl", state.poses[:, :, :3], shifts), axis=1)))
-    along = np.zeros(len(is_free))
-    along[6 * far : 6 * far + 3] = shifts[far] / max(np.linalg.norm(shifts[far]), 1e-12)
-    matrix += np.outer(along, along) * matrix[6 * far, 6 * far]
-    coupling = (weighted @ point_jacobian).tocsr()[is_free]
-    point_weighted = point_jacobian.T @ weights
-    blocks = _point_blocks(bundle, point_jacobian, weight, len(state.points))
-    blocks += damping * blocks * np.eye(3) + 1e-12 * np.trace(blocks, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-30 * np.eye(3)
-    inverse = np.linalg.inv(blocks)
-    inverse_points = csr_matrix(
-        (
-            inverse.ravel(),
-            np.repeat(np.arange(3 * len(blocks)).reshape(-1, 1, 3), 3, axis=1).ravel(),
-            np.arange(0, 9 * len(blocks) + 1, 3),
-        ),
-        shape=(3 * len(blocks),) * 2,
-    )
-    point_gradient = point_weighted @ residuals.ravel()
+    """Return the normal equations of the camera's side, in units of the residuals' deviation."""
+    deviation = max(linear.deviation, CALIBRATION.min_bundle_deviation)
+    weight = 1 / (1 + (linear.residuals**2).sum(axis=1) / scale**2) / deviation**2
+    weighted = linear.by_camera.T @ diags(np.repeat(weight, 2))
+    matrix = (weighted @ linear.by_camera).toarray()
+    gradient = weighted @ linear.residuals.ravel()
+    _add_zoom_prior(matrix, gradient, state.zoom + state.removed_zoom, bundle.frames)
+    _fix_scale(matrix, state.poses)
+    coupling = (weighted @ linear.by_points).tocsr()[is_free]
     matrix, gradient = matrix[np.ix_(is_free, is_free)], gradient[is_free]
     matrix += damping * np.diag(np.diag(matrix))
+    inverse_points = _inverse_point_blocks(bundle, linear, weight, damping)
+    point_gradient = linear.by_points.T @ (np.repeat(weight, 2) * linear.residuals.ravel())
     eliminated = coupling @ inverse_points
     return _Reduced(
         matrix=matrix - (eliminated @ coupling.T).toarray(),
@@ -291,14 +307,31 @@ def _normal_equations(
     )
 
 
-def _point_blocks(
-    bundle: TrackBundle, point_jacobian: csr_matrix, weight: np.ndarray, count: int
-) -> np.ndarray:
-    jacobian = point_jacobian.data.reshape(-1, 2, 3)
-    products = np.einsum("n,nki,nkj->nij", weight, jacobian, jacobian)
+def _inverse_point_blocks(
+    bundle: TrackBundle, linear: _Linear, weight: np.ndarray, damping: float
+) -> csr_matrix:
+    """Return the inverse of the points' part of normal equations, block diagonal."""
+    jacobian, count = linear.by_points.data.reshape(-1, 2, 3), len(bundle.points)
     blocks = np.zeros((count, 3, 3))
-    np.add.at(blocks, bundle.indices, products)
-    return blocks
+    np.add.at(blocks, bundle.indices, np.einsum("n,nki,nkj->nij", weight, jacobian, jacobian))
+    trace = np.trace(blocks, axis1=1, axis2=2)[:, None, None]
+    # a little on the diagonal keeps points without parallax regular
+    inverse = np.linalg.inv(
+        blocks + (damping * blocks + CALIBRATION.min_point_stiffness * (trace + 1e-30)) * np.eye(3)
+    )
+    indices = np.repeat(np.arange(3 * count).reshape(-1, 1, 3), 3, axis=1)
+    return csr_matrix(
+        (inverse.ravel(), indices.ravel(), np.arange(0, 9 * count + 1, 3)), shape=(3 * count,) * 2
+    )
+
+
+def _fix_scale(matrix: np.ndarray, poses: np.ndarray) -> None:
+    """Add a term that keeps the scale: the length of the translation of the farthest frame."""
+    lengths = np.linalg.norm(poses[:, :, 3] - poses[:1, :, 3], axis=1)
+    far = int(np.argmax(lengths))
+    along = np.zeros(len(matrix))
+    along[6 * far : 6 * far + 3] = poses[far, :, 3] / max(np.linalg.norm(poses[far, :, 3]), 1e-12)
+    matrix += np.outer(along, along) * matrix[6 * far, 6 * far]
 
 
 def _add_zoom_prior(
@@ -306,67 +339,37 @@ def _add_zoom_prior(
 ) -> None:
     """Add a prior to normal equations: the zoom per frame hardly changes; jumps weigh less."""
     count = len(frames)
-    if count < 3:
-        return
     steps = np.diff(np.array(frames, np.float64))
-    change = np.zeros((count - 2, count))
+    change = np.zeros((max(count - 2, 0), count))
     for k in range(count - 2):
         change[k, k : k + 3] = 1 / steps[k], -1 / steps[k] - 1 / steps[k + 1], 1 / steps[k + 1]
-    residual = change @ zoom / CALIBRATION.zoom_change
-    weight = 1 / (1 + residual**2)
-    weighted = change * (weight / CALIBRATION.zoom_change**2)[:, None]
+    deviation = CALIBRATION.zoom_change
+    weight = 1 / (1 + (change @ zoom / deviation) ** 2) / deviation**2
+    weighted = change.T * weight
     part = slice(6 * count, 7 * count)
-    matrix[part, part] += weighted.T @ change
-    gradient[part] += weighted.T @ (change @ zoom)
+    matrix[part, part] += weighted @ change
+    gradient[part] += weighted @ (change @ zoom)
 
 
 def _minimise(
     bundle: TrackBundle, state: _State, is_free: np.ndarray, scale: float, steps: int
 ) -> _State:
-    """Return the state after damped Gauss–Newton steps with a robust loss."""
+    """Return the state after damped Gauss–Newton steps (Levenberg and Marquardt)."""
     damping = CALIBRATION.bundle_damping
-    residuals, camera_jacobian, point_jacobian, _ = _linearise(bundle, state)
-    cost = float(_costs(residuals, scale).sum())
-    deviation = 1.0
+    linear = _linearise(bundle, state)
+    cost = float(_costs(linear.residuals, scale).sum())
     for _ in range(steps):
-        deviation = max(MAD_TO_DEVIATION * float(np.median(np.abs(residuals))), 0.02)
-        reduced = _normal_equations(
-            bundle, state, residuals, camera_jacobian, point_jacobian, is_free, deviation, scale, damping
-        )
-        try:
-            step = np.zeros(len(is_free))
-            step[is_free] = -np.linalg.solve(reduced.matrix, reduced.gradient)
-        except np.linalg.LinAlgError:
-            damping *= 10
-            continue
-        point_step = -reduced.inverse_points @ (
-            reduced.point_gradient + reduced.coupling.T @ step[is_free]
-        )
-        candidate = _moved(state, step, point_step)
-        linear = _linearise(bundle, candidate)
-        new_cost = float(_costs(linear[0], scale).sum())
+        reduced = _reduce(bundle, state, linear, is_free, scale, damping)
+        step = np.zeros(len(is_free))
+        step[is_free] = -np.linalg.lstsq(reduced.matrix, reduced.gradient, rcond=None)[0]
+        candidate = state.moved(step, reduced.point_step(step[is_free]))
+        new_linear = _linearise(bundle, candidate)
+        new_cost = float(_costs(new_linear.residuals, scale).sum())
         if not new_cost < cost:
             damping *= 10
-            if damping > 1e6:
-                break
             continue
         is_done = cost - new_cost < CALIBRATION.bundle_tolerance * cost
-        state, cost, damping = candidate, new_cost, max(damping / 10, 1e-9)
-        residuals, camera_jacobian, point_jacobian, _ = linear
+        state, linear, cost, damping = candidate, new_linear, new_cost, damping / 10
         if is_done:
             break
     return state
-
-
-def _moved(state: _State, step: np.ndarray, point_step: np.ndarray) -> _State:
-    count = len(state.poses)
-    motion = step[: 6 * count].reshape(count, 6)
-    turn = Rotation.from_rotvec(motion[:, 3:]).as_matrix()
-    poses = turn @ state.poses
-    poses[:, :, 3] += motion[:, :3]
-    return _State(
-        poses=poses,
-        points=state.points + point_step.reshape(-1, 3),
-        common=state.common + step[7 * count :],
-        zoom=state.zoom + step[6 * count : 7 * count],
-    )

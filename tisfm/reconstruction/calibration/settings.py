@@ -33,19 +33,18 @@ class CalibrationSettings:
     min_log_focal_change: float = 0.03
     # camera_adjustment
     min_bundle_frames: int = 3  # frames that show a track that is adjusted
-    # px: residuals beyond this number have a decreasing weight; adjustments follow one another
+    # px: residuals beyond this number have a decreasing weight; the last one is that of the mapping
     bundle_scales: tuple[float, ...] = (3.0, 0.5)
     bundle_steps: int = 30  # largest number of steps of an adjustment
     bundle_tolerance: float = 1e-4  # relative change of the cost that ends the steps
     bundle_damping: float = 1e-3  # first damping of Levenberg and Marquardt
+    min_bundle_deviation: float = 0.02  # px: smallest standard deviation of a coordinate
+    # share of the trace that is added to the diagonal of the equations of a point
+    min_point_stiffness: float = 1e-12
     # observations of a track that share one error: they drift together
     correlated_observations: float = 4.0
-    # logarithm per frame²: typical change of the zoom rate; single larger changes weigh less
+    # logarithm per frame²: typical change of the zoom per frame; larger changes weigh less
     zoom_change: float = 0.001
-    # camera_revision
-    revision_views: int = 24  # views of each window in which a richer camera is compared
-    # robust cost with a richer camera, divided by that with one: with less, the path is solved again
-    max_rich_cost: float = 0.93
     # source_camera
     # relative standard deviation of an estimate: with a larger deviation, the focal length in the
     # EXIF data is better

@@ -7,6 +7,8 @@ import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from tisfm.camera import Camera
 from tisfm.camera_file import read_camera
 from tisfm.focal_guess import FocalGuess, at_size, guess_focal
@@ -98,6 +100,8 @@ class SourceCamera:
         # estimated readout time of used frames, and its standard deviation, in intervals between
         # frames
         readout: tuple[float, float] | None = None,
+        # (N,) float64: focal length of each frame over that of the first frame
+        zoom: np.ndarray | None = None,
     ) -> Calibration:
         """Return the origin and the uncertainty of the camera, in px of full frames."""
         calibration = make_calibration(
@@ -109,6 +113,8 @@ class SourceCamera:
             shape=self.shape,
             given_calibration=self.given_calibration,
         )
+        if zoom is not None:
+            calibration = add_zoom(calibration, zoom)
         if readout is None:
             return calibration
         return replace(
@@ -116,6 +122,18 @@ class SourceCamera:
             readout=self.full_readout(readout[0]),
             readout_std=readout[1] / self.row_share,
         )
+
+
+def add_zoom(calibration: Calibration, zoom: np.ndarray) -> Calibration:
+    """Return a calibration whose message says how the focal length changes."""
+    focal = calibration.focal or 0.0
+    text = calibration.message or f"{focal:.4g} px{at_size(calibration.shape)}"
+    return replace(
+        calibration,
+        message=f"{text}; the camera zooms: this is the focal length of the first frame, that of "
+        f"the last frame is {focal * zoom[-1]:.4g} px, and the range is {focal * zoom.min():.4g} "
+        f"to {focal * zoom.max():.4g} px",
+    )
 
 
 def make_calibration(

@@ -15,7 +15,7 @@ from tisfm.formats.npz import write_npy
 from tisfm.frames import check_frame, grey_pair, to_eight_bit
 from tisfm.lens import Undistortion
 from tisfm.reconstruction.result.folder import read_labels, read_picture, write_labels
-from tisfm.resampling import Resampling
+from tisfm.resampling import Resampling, ZoomRemoval
 from tisfm.shutter import GlobalShutterFrameMap, RollingShutterMotion
 from tisfm.solver.pixel_masks import fill_ignored
 from tisfm.sources.frame_reader import SourceFrame
@@ -106,12 +106,18 @@ class PreparedFrames:
         camera: Camera,  # camera of the prepared frames, with the distortion that they still have
         # the motion of frames while their rows were read
         rolling: RollingShutterMotion | None = None,
+        # (N,) float64: focal length of each frame over that of the first frame
+        zoom: np.ndarray | None = None,
     ) -> None:
-        """Remove the distortion and then the readout effect that were estimated after reading.
+        """Remove the zoom, the distortion, and then the readout effect, found after reading.
 
         The stored frames are resampled, and written again.
         """
         self.camera = camera.pinhole()
+        if zoom is not None:
+            center = self.camera.center_for(*self.shape)
+            for number, factor in enumerate(zoom.tolist()):
+                self._resample(number, ZoomRemoval(factor, center, self.shape))
         if not camera.is_pinhole and self.count:
             lens = Undistortion(camera, *self.shape)
             for number in range(self.count):

@@ -1,8 +1,8 @@
-"""A zoom, or the distortion of a lens, that a path was solved without.
+"""A zoom that a path was solved without.
 
-The tracks of the path are adjusted with one camera, and with a richer camera: a focal length for
-each frame, and a distorting lens. If the richer camera explains them clearly better, the path is
-solved again.
+A path is solved with one focal length for all frames. Its tracks are then adjusted with a richer
+camera: a focal length for each frame, and a distorting lens. Only if the richer camera explains
+them clearly better, the path is solved again without the zoom that was found.
 """
 
 from collections.abc import Sequence
@@ -17,97 +17,171 @@ from tisfm.reconstruction.calibration.camera_adjustment import (
     TrackBundle,
     adjust_camera,
 )
-from tisfm.reconstruction.calibration.settings import CALIBRATION
 from tisfm.reconstruction.frames.disk_cache import DiskCache
-from tisfm.reconstruction.mapping.solution import FocalEstimate, Piece
+from tisfm.reconstruction.mapping.models import ViewGraph
+from tisfm.reconstruction.mapping.settings import MAPPING
+from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.path.path_solver import CameraPath, PathSolver
+from tisfm.reconstruction.path.settings import REVISION
+from tisfm.reconstruction.submaps.settings import SUBMAPS
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracks
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 
 
-def largest_piece(path: CameraPath) -> Piece:
-    return max(path.pieces, key=lambda piece: len(piece.poses))
+def revise_path(path: CameraPath, solver: PathSolver, instants: np.ndarray) -> CameraPath:
+    """Return the path with a focal length for each frame if the tracks show it.
+
+    Otherwise the path itself is returned. `solver` solved it, with the same `instants`.
+    """
+    views = len(_largest_piece(path).views) if path.pieces else 0
+    if not REVISION.min_views <= views <= SUBMAPS.max_views:
+        return path
+    free = () if solver.calibrate == "nothing" else ("focal",)
+    if not (
+        _fits_badly(path, solver.tracks) or needs_richer_camera(path, free, solver.tracks.shape)
+    ):
+        return path
+    zoomed = _solve_zoom(path, solver, instants, free)
+    return path if zoomed is None or not _shows_zoom(path, zoomed, solver) else zoomed.path
 
 
-def bundle_of(path: CameraPath, views: Sequence[int], shape, observations=None) -> TrackBundle:
-    return TrackBundle.from_piece(
-        largest_piece(path),
-        path.observations if observations is None else observations,
-        views,
-        path.camera.pinhole(),
-        shape,
-    )
+def _fits_badly(path: CameraPath, tracks: SequenceTracks) -> bool:
+    """Return whether a path explains the matches of views less than a right path does."""
+    count = ViewGraph.from_views(tracks.views, tracks.matches, tracks.shape).match_count()
+    return path.score < MAPPING.min_mean_score * count
 
 
-def gain(base: AdjustedCamera, other: AdjustedCamera) -> float:
-    """Cost of another camera over that of the base, on tracks of both."""
-    _, rows, others = np.intersect1d(base.bundle.tracks, other.bundle.tracks, return_indices=True)
-    return float(other.costs[others].sum() / base.costs[rows].sum())
-
-
-def is_suspicious(path: CameraPath, free, shape, score=None) -> bool:
-    if score is not None and score < 0.65:
-        return True
-    views = list(largest_piece(path).views)
-    size = CALIBRATION.revision_views
-    for begin in range(0, max(1, len(views) - size // 2), size):
-        window = views[begin : begin + size]
-        if len(window) < 3:
+def needs_richer_camera(
+    path: CameraPath,
+    free: Sequence[str],  # unknowns of the camera that the path was solved with
+    shape: tuple[int, int],  # height and width of the frames, px
+) -> bool:
+    """Return whether a richer camera explains the tracks of the largest piece clearly better."""
+    views = list(_largest_piece(path).views)
+    for begin in range(0, len(views), REVISION.window_views):
+        window = views[begin : begin + REVISION.window_views]
+        if len(window) < REVISION.min_views:
             continue
-        bundle = bundle_of(path, window, shape)
-        base = adjust_camera(bundle, path.camera.focal, free, scales=(0.5,), steps=8)
-        rich = adjust_camera(base.bundle, base.focal, COMMON, has_zoom=True, scales=(0.5,), steps=15)
-        if rich.cost < CALIBRATION.max_rich_cost * base.cost:
+        bundle = _bundle_of(path, window, shape)
+        base = adjust_camera(
+            bundle, path.camera.focal, free, scales=(MAPPING.outlier_pixels,),
+            steps=REVISION.base_steps,
+        )  # fmt: skip
+        rich = adjust_camera(
+            base.bundle, base.focal, COMMON, has_zoom=True, scales=(MAPPING.outlier_pixels,),
+            steps=REVISION.rich_steps,
+        )  # fmt: skip
+        if rich.cost < REVISION.max_cost * base.cost:
             return True
     return False
 
 
-def frame_zooms(frames: Sequence[int], zoom: np.ndarray, count: int) -> np.ndarray:
-    return np.interp(np.arange(count), frames, zoom)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _ZoomedPath:
+    """A path of tracks without zoom, and the camera that its tracks were adjusted with."""
+
+    path: CameraPath
+    adjusted: AdjustedCamera  # with a zoom that remains in the tracks of the path, nearly 0
 
 
-def unzoom_points(points: np.ndarray, zoom: float, center: np.ndarray) -> np.ndarray:
-    return (points - center) * np.exp(-zoom) + center
+def _solve_zoom(
+    path: CameraPath, solver: PathSolver, instants: np.ndarray, free: Sequence[str]
+) -> _ZoomedPath | None:
+    """Return the path after the zoom was removed from the tracks; None if there is none.
+
+    A path that was solved with a wrong zoom is bent. So the zoom is found in rounds.
+    """
+    shape, count = solver.tracks.shape, len(solver.tracks.observations)
+    total = np.zeros(count)
+    for _ in range(REVISION.zoom_rounds):
+        views = list(_largest_piece(path).views)
+        adjusted = adjust_camera(
+            _bundle_of(path, views, shape),
+            path.camera.focal,
+            free,
+            has_zoom=True,
+            removed_zoom=total[views] - total[views[0]],
+        )
+        change = np.interp(np.arange(count), views, adjusted.zoom)
+        change -= change[0]
+        if np.abs(change).max() < REVISION.zoom_tolerance:
+            break
+        total += change
+        tracks = unzoom_tracks(solver.tracks, total, solver.camera)
+        path = replace(solver, tracks=tracks).solve(instants)
+        if not path.pieces or len(_largest_piece(path).views) < REVISION.min_views:
+            return None
+    return _ZoomedPath(path=replace(path, zoom=np.exp(total)), adjusted=adjusted)
 
 
-def unzoom_tracks(tracks: SequenceTracks, zoom: np.ndarray, camera: Camera) -> SequenceTracks:
+def _shows_zoom(path: CameraPath, zoomed: _ZoomedPath, solver: PathSolver) -> bool:
+    """Return whether a zoom is significant, and explains what no constant camera explains."""
+    shape, views = solver.tracks.shape, list(_largest_piece(path).views)
+    zoom, adjusted = zoomed.path.zoom, zoomed.adjusted
+    deviation = float(adjusted.zoom_deviation.max())
+    if zoom is None or deviation > REVISION.max_zoom_deviation:
+        return False
+    extent = float(np.log(zoom.max() / zoom.min()))
+    if extent < max(REVISION.min_zoom, REVISION.min_zoom_significance * deviation):
+        return False
+    if _posed(zoomed.path) < _posed(path):
+        return False
+    bundle = _bundle_of(path, views, shape)
+    constant = adjust_camera(bundle, path.camera.focal, ("focal", "k1"))
+    if relative_cost(adjusted, constant) > REVISION.max_zoom_cost:
+        return False
+    if solver.calibrate != "nothing":
+        return True
+    # A wrong stated focal length may look like a zoom. Then the tracks show another focal length.
+    free = adjust_camera(adjusted.bundle, adjusted.focal, ("focal",), has_zoom=True)
+    limit = max(REVISION.max_focal_change, REVISION.max_focal_deviations * free.common_deviation[0])
+    return bool(abs(np.log(free.focal / solver.camera.focal)) < limit)
+
+
+def relative_cost(first: AdjustedCamera, second: AdjustedCamera) -> float:
+    """Return the robust cost of an adjustment over that of another, on the tracks of both."""
+    _, rows, others = np.intersect1d(first.bundle.tracks, second.bundle.tracks, return_indices=True)
+    if not len(rows):
+        return np.inf
+    return float(first.costs[rows].sum() / second.costs[others].sum())
+
+
+def unzoom_tracks(
+    tracks: SequenceTracks,
+    zoom: np.ndarray,  # (N,) float64: by frame, the logarithm of the zoom
+    camera: Camera,  # pinhole camera of the frames
+) -> SequenceTracks:
+    """Return tracks and views as a camera would see them that does not zoom."""
     center = np.array(camera.center_for(*tracks.shape))
 
-    def unzoomed(observations: Observations, frame: int) -> Observations:
-        if not len(observations.points):
-            return observations
-        return replace(observations, points=unzoom_points(observations.points, zoom[frame], center))
+    def unzoom_points(points: np.ndarray, frame: int) -> np.ndarray:
+        return (points - center) * np.exp(-zoom[frame]) + center
 
     observations = DiskCache(Observations.to_arrays, Observations.from_arrays)
     for frame, in_frame in enumerate(tracks.observations):
-        observations.append(unzoomed(in_frame, frame))
+        observations.append(replace(in_frame, points=unzoom_points(in_frame.points, frame)))
     views = DiskCache(View.to_arrays, View.from_arrays)
     for view in tracks.views:
+        in_view = replace(
+            view.observations, points=unzoom_points(view.observations.points, view.frame)
+        )
         views.append(
-            replace(
-                view,
-                observations=unzoomed(view.observations, view.frame),
-                detected=unzoom_points(view.detected, zoom[view.frame], center),
-            )
+            replace(view, observations=in_view, detected=unzoom_points(view.detected, view.frame))
         )
     return replace(tracks, observations=observations, views=views)
 
 
-def solve_zoom(path: CameraPath, solver: PathSolver, instants: np.ndarray):
-    """Return the path of the unzoomed tracks, the zoom of each frame, and the adjusted camera."""
-    shape, count = solver.tracks.shape, len(solver.tracks.observations)
-    total = np.zeros(count)
-    for _ in range(3):
-        views = list(largest_piece(path).views)
-        found = adjust_camera(
-            bundle_of(path, views, shape), path.camera.focal, ("focal",), has_zoom=True
-        )
-        change = frame_zooms(found.bundle.frames, found.zoom, count)
-        total = total + change
-        if np.abs(change).max() < 0.003:
-            break
-        path = replace(solver, tracks=unzoom_tracks(solver.tracks, total, solver.camera)).solve(instants)
-        if not path.pieces:
-            return None
-    return path, total, found
+def _largest_piece(path: CameraPath) -> Piece:
+    return max(path.pieces, key=lambda piece: len(piece.poses))
+
+
+def _posed(path: CameraPath) -> int:
+    return sum(len(piece.poses) for piece in path.pieces)
+
+
+def _bundle_of(path: CameraPath, frames: Sequence[int], shape: tuple[int, int]) -> TrackBundle:
+    """Return the tracks of the largest piece of a path in some of its frames."""
+    return TrackBundle.from_piece(
+        _largest_piece(path), path.observations, frames, path.camera.pinhole(), shape
+    )

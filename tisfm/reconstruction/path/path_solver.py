@@ -51,6 +51,10 @@ class CameraPath:
     # With a rolling shutter: the motion during readout. Poses, points and tracks are those of
     # middle rows.
     rolling: RollingShutterMotion | None = None
+    # (N,) float64: focal length of each frame over that of the first frame; None if it is constant.
+    # Poses, points and tracks belong to the focal length of the first frame.
+    zoom: np.ndarray | None = None
+    score: float = 0.0  # as for `PathSolution`
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,6 +101,7 @@ class PathSolver:
             camera=solution.camera,
             focal=solution.focal,
             rolling=rolling,
+            score=solution.score,
         )
 
     @property

@@ -206,6 +206,7 @@ def write_record(folder: Path, result: Any) -> None:
         "version": result.version,
         "camera": asdict(result.camera),
         "calibration": as_json(result.calibration),
+        "zoom": None if result.zoom is None else result.zoom.tolist(),
         "settings": asdict(result.settings),
         "shape": list(result.shape),
         "names": list(result.names),
@@ -285,6 +286,7 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
                 readout=camera["readout"],
             ),
             calibration=from_json(record["calibration"]),
+            zoom=_read_zoom(record, count),
             settings=settings,
             version=str(record["version"]),
             objects=_read_objects(path, settings, count),
@@ -300,6 +302,18 @@ def _read_shares(record: dict[str, Any], name: str, count: int) -> np.ndarray:
     if not (np.isnan(values) | ((values >= 0) & (values <= 1))).all():
         raise InputError(f"{name} has a number that is not from 0 to 1")
     return values
+
+
+def _read_zoom(record: dict[str, Any], count: int) -> np.ndarray | None:
+    """Return the zoom of each frame of a record, (N,) float64; None if it is constant."""
+    if record["zoom"] is None:
+        return None
+    zoom = np.array([float(value) for value in record["zoom"]], np.float64)
+    if zoom.shape != (count,):
+        raise InputError(f"zoom has {len(zoom)} numbers for {count} frames")
+    if not (np.isfinite(zoom) & (zoom > 0)).all():
+        raise InputError("zoom has a number that is not positive and finite")
+    return zoom
 
 
 @contextmanager

@@ -70,6 +70,10 @@ class Reconstruction:
         Origin and uncertainty of the focal length: ``origin`` (given, estimated or guessed),
         ``focal``, ``focal_std``, ``shape``, ``seen`` and ``message``. Lengths are px of the frames
         of the source, whose height and width is ``shape``.
+    zoom : (N,) float64 or None
+        Focal length of each frame of the source, divided by that of the first frame; None if it is
+        constant. A zoom is removed: `depth` and `picture` of all frames belong to the focal length
+        of the first frame. See `focal`.
     settings : Settings
     names : tuple of str
         Names of the frames.
@@ -115,6 +119,7 @@ class Reconstruction:
     keyframes: tuple[int, ...]
     camera: Camera
     calibration: Calibration = field(repr=False, default=GIVEN)
+    zoom: np.ndarray | None = field(repr=False, default=None)
     settings: Settings = field(repr=False)
     names: tuple[str, ...] = field(repr=False)
     times: tuple[float | None, ...] = field(repr=False)
@@ -160,6 +165,22 @@ class Reconstruction:
         """Which frames have a position, (N,) bool: a pose in a piece that does not only turn."""
         turning = [piece for piece in range(len(self.unit)) if self.only_turns(piece)]
         return np.asarray((self.piece >= 0) & ~np.isin(self.piece, turning))
+
+    @property
+    def focal(self) -> np.ndarray:
+        """Focal length of each frame as it was taken, (N,) float64, px of the frames of the source.
+
+        The unit is that of `calibration.focal`. All are equal unless the camera zooms.
+
+        Examples
+        --------
+        >>> import tisfm
+        >>> result = tisfm.Reconstruction.load("walk")
+        >>> result.focal.shape, bool(result.focal[0] == result.calibration.focal)
+        ((9,), True)
+        """
+        focal = self.calibration.focal or self.camera.focal
+        return focal * (np.ones(len(self)) if self.zoom is None else self.zoom)
 
     def grade(self, frame: int) -> Grade:
         """Return the grade of a frame: how far its pose and depth can be trusted.

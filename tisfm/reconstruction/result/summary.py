@@ -49,7 +49,8 @@ def summarise(
         message = f": {same[0].message}" if same[0].message else ""
         frames = f"{len(same)} frame{'s' * (len(same) != 1)}"
         sentences.append(f"{code}, {frames}{message}.")
-    if not calibration.seen and calibration.message:
+    # a camera that was given has a message only if the sequence showed more
+    if calibration.message and (not calibration.seen or calibration.origin == "given"):
         sentences.append(f"{calibration.message}.")
     return " ".join(" ".join(sentences).replace("..", ".").split())
 

@@ -1,0 +1,155 @@
+"""A zoom that the camera does not state: a focal length for each frame."""
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+import tisfm
+from tisfm.metrics import absolute_errors
+from tisfm.reconstruction.calibration.camera_adjustment import TrackBundle, adjust_camera
+from tisfm.resampling import ZoomRemoval
+from tisfm.scenes import room_film
+
+FAST = tisfm.Settings.preset("fast", motion="camera")
+FOCAL = 200.0
+
+
+def bundle(zoom, lens=(0.0, 0.0, 0.0, 0.0), noise=0.1, seed=0):
+    """Tracks of 8 frames of a cloud of points, with the true poses and points moved a little."""
+    random = np.random.default_rng(seed)
+    points = random.uniform((-3, -2, 3), (3, 2, 9), (150, 3))
+    poses = np.array(
+        [np.linalg.inv(tisfm.rigid.pose_matrix([0.2 * k, 0.02 * k, 0, 0, 0.02 * k, 0]))
+         for k in range(len(zoom))]
+    )[:, :3]  # fmt: skip
+    views, indices = (grid.ravel() for grid in np.mgrid[: len(zoom), : len(points)])
+    local = np.einsum("nkl,nl->nk", poses[views, :, :3], points[indices]) + poses[views, :, 3]
+    straight = local[:, :2] / local[:, 2:]
+    distorted = cv2.projectPoints(
+        np.column_stack([straight, np.ones(len(straight))]), np.zeros(3), np.zeros(3), np.eye(3),
+        np.array(lens),
+    )[0][:, 0]  # fmt: skip
+    positions = FOCAL * np.exp(np.asarray(zoom)[views])[:, None] * distorted
+    return TrackBundle(
+        frames=tuple(range(len(zoom))),
+        tracks=np.arange(len(points)),
+        poses=poses,
+        points=points + random.normal(0, 0.01, points.shape),
+        views=views,
+        indices=indices,
+        positions=positions + random.normal(0, noise, positions.shape),
+    )
+
+
+@pytest.mark.parametrize("zoom", [0.02 * np.arange(8), np.r_[0, 0, 0, 0, 0.02 * np.arange(1, 5)]])
+def test_zoom_of_every_frame_is_found(zoom):
+    found = adjust_camera(bundle(zoom), FOCAL, has_zoom=True)
+    assert np.abs(found.zoom - zoom).max() < 5 * found.zoom_deviation.max() < 0.03
+    assert found.zoom[0] == found.zoom_deviation[0] == 0
+    assert found.residual == pytest.approx(0.1, rel=0.2)
+    constant = adjust_camera(bundle(zoom), FOCAL, ("focal", "k1"))
+    assert found.cost < 0.8 * constant.cost
+
+
+def test_focal_length_and_coefficients_are_found():
+    lens = (-0.2, 0.05, 0.004, -0.006)
+    free = ("focal", "k1", "k2", "p1", "p2")
+    found = adjust_camera(bundle(np.zeros(8), lens), 1.1 * FOCAL, free)
+    error = np.abs(found.common - [np.log(FOCAL), *lens])
+    assert (error < 5 * found.common_deviation).all()
+    assert (found.common_deviation < 0.05).all()
+    fixed = adjust_camera(bundle(np.zeros(8), lens), FOCAL, ("k1",))
+    assert fixed.focal == pytest.approx(FOCAL)
+    assert (fixed.common_deviation == 0).tolist() == [True, False, True, True, True]
+
+
+def test_outliers_do_not_matter():
+    tracks = bundle(np.zeros(8))
+    positions = tracks.positions.copy()
+    positions[::20] += 15.0
+    found = adjust_camera(replace(tracks, positions=positions), FOCAL, ("focal",), has_zoom=True)
+    assert found.focal == pytest.approx(FOCAL, rel=0.02)
+    assert np.abs(found.zoom).max() < 0.01
+
+
+def test_zoom_is_removed_about_the_principal_point():
+    y, x = np.mgrid[:60, :80].astype(np.float32)
+    image = 2 * x + y
+    removal = ZoomRemoval(1.25, (40.0, 20.0), (60, 80))
+    expected = 2 * (40 + 1.25 * (x - 40)) + 20 + 1.25 * (y - 20)
+    inner = cv2.erode(removal.valid.astype(np.uint8), np.ones((21, 21))) > 0  # off the border
+    assert np.abs(removal.apply(image) - expected)[inner].max() < 1e-3
+    assert removal.valid[20, 40]
+    assert not removal.valid[0, 0]
+
+
+@pytest.fixture(scope="module")
+def film():
+    """A room, with 12 poses."""
+    path, pose = [], np.eye(4)
+    for k in range(12):
+        path.append(pose)
+        turn = 0.01 * np.sin([0.7 * k, 0.45 * k + 1, 0.9 * k])
+        pose = pose @ tisfm.rigid.pose_matrix([0.08, 0.013, 0.02, *(turn + np.array([0, 0.008, 0]))])
+    return room_film(np.array(path), 180, 240, samples=1)
+
+
+def zoomed(frames, zoom):
+    """Return frames magnified about their centre."""
+    height, width = frames[0].shape
+    return [
+        cv2.warpAffine(
+            np.asarray(frame),
+            np.float32([[s, 0, (1 - s) * (width - 1) / 2], [0, s, (1 - s) * (height - 1) / 2]]),
+            (width, height),
+            flags=cv2.INTER_CUBIC,
+        )
+        for frame, s in zip(frames, zoom, strict=True)
+    ]
+
+
+def test_film_with_zoom_gets_a_focal_length_for_each_frame(film, tmp_path):
+    zoom = 1.012 ** np.arange(12)
+    frames = zoomed(film.frames, zoom)
+    result = tisfm.reconstruct(frames, camera=film.camera, settings=FAST, depth_of="none")
+    assert set(map(str, result.status)) == {"converged"}
+    assert np.abs(result.focal / (film.camera.focal * zoom) - 1).max() < 0.03
+    assert result.camera.focal == film.camera.focal == result.focal[0]
+    assert absolute_errors(result.poses, film.poses).similarity < 0.02
+    assert "the camera zooms" in result.calibration.message
+    assert "the camera zooms" in result.summary()
+    result.save(tmp_path / "copy")
+    loaded = tisfm.Reconstruction.load(tmp_path / "copy")
+    assert np.array_equal(loaded.focal, result.focal)
+    record = json.loads((tmp_path / "copy" / "reconstruction.json").read_bytes())
+    record["zoom"][3] = 0
+    (tmp_path / "copy" / "reconstruction.json").write_text(json.dumps(record))
+    with pytest.raises(ValueError, match="zoom has a number that is not positive"):
+        tisfm.Reconstruction.load(tmp_path / "copy")
+
+
+@pytest.mark.nightly
+def test_camera_stays_as_given_with_calibrate_nothing(film):
+    frames = zoomed(film.frames, 1.012 ** np.arange(12))
+    result = tisfm.reconstruct(
+        frames, camera=film.camera, calibrate="nothing", settings=FAST, depth_of="none"
+    )
+    assert result.zoom is None
+    assert (result.focal == film.camera.focal).all()
+    assert result.status[0] == "contradicted"
+
+
+@pytest.mark.nightly
+def test_constant_focal_length_stays_constant(film):
+    default, fixed = (
+        tisfm.reconstruct(
+            film.frames, camera=film.camera, settings=FAST, depth_of="none", **options
+        )
+        for options in ({}, {"calibrate": "nothing"})
+    )
+    assert default.zoom is None
+    assert np.array_equal(default.poses, fixed.poses)
+    assert default.calibration.message == ""
