@@ -28,6 +28,7 @@ from tisfm.camera import Camera
 from tisfm.datasets import LoadedSequence, find_sequences
 from tisfm.formats import read_image
 from tisfm.lens import undistort_depth
+from tisfm.resampling import ZoomRemoval
 
 MAX_DEPTH = 60.0  # m: larger true depths of real sequences do not count
 LASER_SCALE = 256.0  # of the depth maps of kitti_cars, per metre
@@ -46,7 +47,7 @@ def run_sequence(case: Case, data: Path | None, *, is_smoke: bool) -> dict[str, 
     film = render_film(case.scene, case.disturbance, size, count)
     true = Camera(focal=float(film.focal[0]))
     result, seconds = _reconstruct(film.frames, given_camera(true, case.focal))
-    maps = [_on_pixels_of(result, d, None) for d in film.depth]
+    maps = [_on_pixels_of(result, k, depth, None) for k, depth in enumerate(film.depth)]
     verdict = judge_sequence(result, film.poses, maps)
     return verdict | _about(result, true.focal, seconds) | _coverage(result, maps)
 
@@ -61,7 +62,7 @@ def _run_clip(case: Case, clip: Clip, data: Path) -> dict[str, Any]:
         true_depth = loaded.depth(k)
         if true_depth is not None:
             true_depth = np.where(true_depth < MAX_DEPTH, true_depth, np.float32(np.nan))
-            true_depth = _on_pixels_of(result, true_depth, camera)
+            true_depth = _on_pixels_of(result, k, true_depth, camera)
         maps.append(true_depth)
     poses = loaded.poses if loaded.posed.all() else None
     verdict = judge_sequence(result, poses, maps)
@@ -146,9 +147,12 @@ def given_camera(true: Camera, focal: str) -> Camera | None:
 
 
 def _on_pixels_of(
-    result: tisfm.Reconstruction, depth: NDArray[np.float32], camera: Camera | None
+    result: tisfm.Reconstruction, frame: int, depth: NDArray[np.float32], camera: Camera | None
 ) -> NDArray[np.float32]:
-    """Return the true depth on the pixels of a result, which has no distortion."""
+    """Return the true depth of a frame on the pixels of a result, without distortion and zoom."""
+    if result.zoom is not None:
+        center = result.camera.center_for(*depth.shape)
+        depth = ZoomRemoval(result.zoom[frame], center, depth.shape).apply_nearest(depth)
     radial = result.calibration.radial
     if camera is not None and camera.distortion is not None:
         depth = undistort_depth(depth, camera)

@@ -93,7 +93,9 @@ def film():
     for k in range(12):
         path.append(pose)
         turn = 0.01 * np.sin([0.7 * k, 0.45 * k + 1, 0.9 * k])
-        pose = pose @ tisfm.rigid.pose_matrix([0.08, 0.013, 0.02, *(turn + np.array([0, 0.008, 0]))])
+        pose = pose @ tisfm.rigid.pose_matrix(
+            [0.08, 0.013, 0.02, *(turn + np.array([0, 0.008, 0]))]
+        )
     return room_film(np.array(path), 180, 240, samples=1)
 
 
