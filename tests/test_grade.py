@@ -102,7 +102,7 @@ def test_summary_of_grades():
 
 
 def test_a_pair_with_a_guessed_focal_length_is_poor(tmp_path):
-    scene = static_scene("sideways", 48, 64)
+    scene = static_scene("sideways", 72, 96)
     settings = tisfm.Settings.preset("fast", motion="camera")
     known = tisfm.interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=settings)
     assert known.focal_deviation == 0 and known.grade.is_green
