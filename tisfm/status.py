@@ -10,7 +10,8 @@ from tisfm.errors import InputError, InputTypeError
 STATUSES = (
     "converged", "iteration_limit", "no_motion", "no_texture", "diverged", "pure_rotation",
     "little_parallax", "unrelated", "pose_mismatch", "two_motions", "aperture", "behind_camera",
-    "unexplained", "uncertain", "contradicted",
+    "unexplained", "uncertain", "contradicted", "noise", "fixed_pattern", "changing_light",
+    "repeated_texture", "one_plane",
 )  # fmt: skip
 """Codes of `Status`."""
 UNKNOWN_STATUS_ADVICE = "This version of tisfm does not know this status: treat it as doubtful."
@@ -55,6 +56,12 @@ class Status(str):
     - ``"behind_camera"``: much of the scene would lie behind the camera.
     - ``"unexplained"``: motion and depth do not align much of the texture; depth is wrong there.
     - ``"pose_mismatch"``: the given pose contradicts the images; depth still follows from the pose.
+
+    - ``"noise"``, ``"fixed_pattern"``, ``"changing_light"``: the frame has no pose, because noise,
+      a pattern that is fixed on the sensor, or light that changes hides the motion.
+    - ``"repeated_texture"``: the frame has no pose, because its texture repeats itself.
+    - ``"one_plane"``: the frame has no pose, because the scene is one plane, and the focal length
+      is unknown.
 
     A file of another version may hold a code that is not in this list. It is kept: treat it as
     doubtful.

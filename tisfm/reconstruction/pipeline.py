@@ -475,6 +475,7 @@ def _solve_or_take_path(
         max_deviation=reading.camera.max_focal_deviation,
         readout=readout,
         is_focal_known=job.calibrate == "nothing" and reading.camera.is_focal_known,
+        grey=lambda frame: reading.frames.tracker_input(frame)[0],
     )
     path = solver.solve(reading.instants)
     return revise_path(path, solver, reading.instants) if job.revises_camera else path

@@ -26,6 +26,11 @@ MEANINGS = {
     "uncertain": "There is little parallax, or depth has a large deviation: depth is rough.",
     "pose_mismatch": "The given pose contradicts the images.",
     "contradicted": "The image motion contradicts the path: pose and depth are probably wrong.",
+    "noise": "Noise hides the motion: there is no pose.",
+    "fixed_pattern": "A pattern that is fixed on the sensor hides the motion: there is no pose.",
+    "changing_light": "The light changes from frame to frame: there is no pose.",
+    "repeated_texture": "The texture repeats itself: there is no pose.",
+    "one_plane": "The scene is one plane, and the focal length is unknown: there is no pose.",
     "diverged": "The iterations diverged: the result is useless.",
 }
 GRADE_MEANINGS = {

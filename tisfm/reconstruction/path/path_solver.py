@@ -1,7 +1,7 @@
 """The camera path of a sequence, estimated from tracks and matches of views."""
 
 from bisect import bisect_left
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -13,6 +13,7 @@ from tisfm.reconstruction.calibration.self_calibration import (
     undistort_observations,
     undistort_points,
 )
+from tisfm.reconstruction.causes.cause_search import CauseSearch
 from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.mapping.models import (
     Model,
@@ -22,6 +23,7 @@ from tisfm.reconstruction.mapping.models import (
 )
 from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.mapping.solution import FocalEstimate, PathSolution, Piece
+from tisfm.reconstruction.path.missing_poses import runs_of, statuses_without_pose
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.rolling_shutter.correction import ReadoutCorrection, find_corrected_path
 from tisfm.reconstruction.rotation.rotation_search import RotationSearch
@@ -75,6 +77,8 @@ class PathSolver:
     # one plane.
     is_focal_known: bool = True
     frames: Sequence[int] | None = None  # the frames that get a pose; by default all
+    # frame → (H, W) uint8: images that show why frames have no pose; None if they are not at hand
+    grey: Callable[[int], np.ndarray] | None = None
 
     def solve(
         self,
@@ -92,11 +96,10 @@ class PathSolver:
             count = len(tracks.observations)
             instants = np.arange(count) if instants is None else np.asarray(instants)
             solution, rolling = self._correct_readout(solution, instants)
-        missing = self.find_missing(solution)
         solution = self._add_rotations(solution)
         return CameraPath(
             pieces=tuple(sorted(solution.pieces, key=lambda piece: min(piece.poses))),
-            missing={frame: missing[frame] for frame in solution.missing_frames},
+            missing=self.find_missing(solution),
             observations=solution.observations,
             camera=solution.camera,
             focal=solution.focal,
@@ -145,15 +148,21 @@ class PathSolver:
 
     def find_missing(self, solution: PathSolution) -> dict[int, Status]:
         """Return the reason for each frame without a pose."""
-        return {
-            frame: status_without_pose(
-                solution.observations[frame],
-                solution.pieces,
-                self.tracks.distinct_count,
-                is_focal_known=self._uses_known_focal,
-            )
-            for frame in solution.missing_frames
-        }
+        search = CauseSearch(
+            observations=solution.observations,
+            views=_undistort_views(solution.views, solution.camera, self.tracks.shape),
+            matches=self.tracks.matches,
+            camera=solution.camera.pinhole(),
+            shape=self.tracks.shape,
+            grey=self.grey,
+        )
+        return statuses_without_pose(
+            solution.missing_frames,
+            search,
+            has_pieces=bool(solution.pieces),
+            distinct_count=self.tracks.distinct_count,
+            is_focal_known=self._uses_known_focal,
+        )
 
     def complete_solution(
         self,
@@ -192,7 +201,9 @@ class PathSolver:
             camera=solution.camera.pinhole(),
             shape=self.tracks.shape,
         )
-        for frames in _runs(solution.missing_frames):
+        for frames in runs_of(solution.missing_frames):
+            if len(frames) < ROTATION.min_frames:
+                continue
             found = search.find_piece(frames, is_focal_known=is_focal_known)
             if found is None:
                 continue
@@ -393,56 +404,6 @@ def add_remaining_frames(
         replace(piece, poses=dict(sorted(poses.items())))
         for piece, poses in zip(pieces, poses_of_pieces, strict=True)
     ], missing_frames
-
-
-def _runs(frames: Sequence[int]) -> list[list[int]]:
-    """Return runs of consecutive frames that are long enough for a piece."""
-    breaks = np.flatnonzero(np.diff(frames) != 1) + 1
-    runs = [run.tolist() for run in np.split(np.asarray(frames, np.int64), breaks)]
-    return [run for run in runs if len(run) >= ROTATION.min_frames]
-
-
-def status_without_pose(
-    observations: Observations,  # tracks in the frame
-    pieces: Sequence[Piece],  # all pieces of the path
-    distinct_count: int,  # number of frames that differ from one another
-    *,
-    # whether the focal length is known: then a path may begin where all points lie in one plane
-    is_focal_known: bool = True,
-) -> Status:
-    """Return the status of a frame without a pose."""
-    count = len(observations.tracks)
-    if count < MAPPING.min_observations:
-        return Status(
-            "no_texture",
-            f"it shows only {count} points that can be tracked: it is dark, bare or blurred",
-        )
-    if not pieces and distinct_count < 2:
-        return Status("no_motion", "frames hardly differ: the camera has to move")
-    if not pieces and distinct_count < MAPPING.min_views:
-        return Status(
-            "little_parallax",
-            f"only {distinct_count} frames differ, but a path needs {MAPPING.min_views}: "
-            "take more frames, or give the pair to tisfm.interpret",
-        )
-    if not pieces and is_focal_known:
-        return Status(
-            "little_parallax",
-            "no two frames show enough parallax to begin a path: the camera only turns, or noise "
-            "hides its motion; move it sideways in front of textured surfaces",
-        )
-    if not pieces:
-        return Status(
-            "little_parallax",
-            "no two frames show enough parallax to begin a path: the camera only turns, or the "
-            "scene is one plane; move the camera sideways, or give its focal length if the scene "
-            "is a plane",
-        )
-    return Status(
-        "unrelated",
-        f"only few of its {count} tracks have known points: it shows another part of the scene, or "
-        "its points show no parallax; take frames closer in time",
-    )
 
 
 def _nearest_pieces(

@@ -1,6 +1,6 @@
 """The camera path of an endless sequence: old poses are final, and new poses continue them."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -102,6 +102,8 @@ class SlidingPath:
         # Whether the focal length is a guess that is not estimated. Then a path does not begin
         # where all points lie in one plane.
         is_focal_guessed: bool = False,
+        # frame → (H, W) uint8: recent images, which show why frames have no pose
+        grey: Callable[[int], np.ndarray] | None = None,
     ) -> None:
         self.camera = camera
         # the estimate, if the focal length was to be estimated and a path was found
@@ -110,6 +112,7 @@ class SlidingPath:
         # 0 if the first path does not show it. The deviation is 0 if the readout time was given.
         self.readout, self.readout_deviation = readout, 0.0
         self._is_focal_fixed, self._max_deviation = is_focal_fixed, max_deviation
+        self._grey = grey
         self._is_focal_reliable = is_focal_fixed and not is_focal_guessed
         self.observations = RecentObservations()  # tracks as a global shutter would see them
         self._uncorrected = RecentObservations()  # tracks not corrected for the readout
@@ -172,6 +175,7 @@ class SlidingPath:
             max_deviation=self._max_deviation,
             is_focal_known=self._is_focal_reliable,
             frames=frames,
+            grey=self._grey,
         )
 
     def _solve(self, distinct_count: int) -> SlidingSolution:

@@ -133,6 +133,7 @@ class Stream:
                 readout=self._frames.camera.readout,
                 max_deviation=camera.max_focal_deviation,
                 is_focal_guessed=not camera.is_focal_known,
+                grey=lambda frame: self._frames.tracker_input(frame)[0],
             )
         self._path.add(*self._frames.add(frame), index_and_time=(frame.index, frame.time))
         self._check_time(number, frame)

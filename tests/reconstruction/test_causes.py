@@ -1,0 +1,182 @@
+"""Causes of missing poses: measures of images and tracks, and the statuses that they lead to."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+import tisfm
+from tests.reconstruction.films import along
+from tests.rendered import room_film
+from tisfm.reconstruction.causes import image_measures as measures
+from tisfm.reconstruction.causes.cause import image_cause, motion_cause
+from tisfm.reconstruction.causes.cause_search import CauseSearch
+from tisfm.reconstruction.causes.image_measures import ImageMeasures, measure_images
+from tisfm.reconstruction.causes.track_measures import TrackMeasures
+from tisfm.reconstruction.path.missing_poses import runs_of, statuses_without_pose
+from tisfm.reconstruction.tracks.tracker import Observations
+from tisfm.report.tables import MEANINGS
+from tisfm.status import STATUSES
+
+# A sharp film of a room, whose light does not change.
+GOOD = ImageMeasures(
+    brightness=120.0,
+    contrast=40.0,
+    noise=1.5,
+    sharpness=0.2,
+    texture=0.6,
+    light_change=0.01,
+    fixed_correlation=0.0,
+    coarse_correlation=0.6,
+    repetition=0.2,
+)
+TRACKS = TrackMeasures(survival=0.7, motion=0.1, homography=3.0)
+
+
+def texture(seed=0, size=160, blur=1.5):
+    noise = np.random.default_rng(seed).normal(0, 1, (size, size)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), blur)
+    return np.clip(120 + 40 * smooth / smooth.std(), 0, 255)
+
+
+def as_bytes(image):
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("changes", "code", "word"),
+    [
+        ({"fixed_correlation": 0.9}, "fixed_pattern", "sensor"),
+        ({"light_change": 0.3}, "changing_light", "30 %"),
+        ({"contrast": 2.0, "brightness": 9.0}, "no_texture", "dark"),
+        ({"contrast": 2.0}, "no_texture", "bare"),
+        ({"noise": 18.0}, "noise", "18 grey levels"),
+        ({"sharpness": 0.02}, "no_texture", "blurred"),
+        ({"texture": 0.05}, "no_texture", "5 %"),
+        ({"repetition": 0.95}, "repeated_texture", "repeats"),
+    ],
+)
+def test_every_measure_leads_to_its_status(changes, code, word):
+    cause = image_cause(replace(GOOD, **changes), replace(TRACKS, survival=0.1))
+    assert cause == code and word in cause.message and code in STATUSES and code in MEANINGS
+
+
+def test_good_images_are_no_cause():
+    assert image_cause(GOOD, TRACKS) is None
+    still = replace(GOOD, fixed_correlation=1.0, coarse_correlation=1.0)  # a camera at rest
+    assert image_cause(still, TRACKS) is None
+    assert image_cause(replace(GOOD, noise=18.0), TRACKS) is None  # tracks go on all the same
+
+
+def test_tracks_tell_rest_plane_and_the_rest():
+    still = motion_cause(replace(TRACKS, motion=0.005), is_focal_known=True)
+    assert still == "little_parallax" and "hardly moves" in still.message
+    plane = motion_cause(replace(TRACKS, homography=0.2), is_focal_known=False)
+    assert plane == "one_plane" and "--focal" in plane.message
+    assert motion_cause(replace(TRACKS, homography=0.2), is_focal_known=True) == "little_parallax"
+    assert "several motions" in motion_cause(TRACKS, is_focal_known=True).message
+
+
+def test_noise_level_is_that_of_added_noise():
+    smooth = texture(blur=5)
+    for deviation in (3, 12):
+        noise = np.random.default_rng(1).normal(0, deviation, smooth.shape)
+        assert measures.noise_level(as_bytes(smooth + noise)) == pytest.approx(deviation, rel=0.15)
+
+
+def test_textured_share_is_that_of_the_textured_half():
+    image = texture()
+    image[:, 80:] = 120
+    noise = np.random.default_rng(1).normal(0, 3, image.shape)
+    assert measures.textured_share(as_bytes(image + noise), 3.0) == pytest.approx(0.5, abs=0.1)
+
+
+def test_light_is_compared_along_tracks_and_in_rows():
+    image, points = texture(), np.random.default_rng(0).uniform(20, 130, (40, 2))
+    moved, brighter = as_bytes(np.roll(image, 7, 1)), as_bytes(1.2 * image)
+    image = as_bytes(image)
+    along_tracks = measures.light_change_of_points
+    assert along_tracks(image, moved, points, points + np.array([7, 0])) < 0.03
+    assert along_tracks(image, brighter, points, points) == pytest.approx(np.log(1.2), abs=0.03)
+    assert measures.light_change_of_rows(image, moved) < 0.03
+    assert measures.light_change_of_rows(image, brighter) == pytest.approx(np.log(1.2), abs=0.03)
+
+
+def test_fixed_pattern_correlates_at_the_same_pixel():
+    pattern = np.random.default_rng(1).normal(0, 10, (160, 160))
+    frames = [as_bytes(np.roll(texture(blur=3), 9 * k, 1) + pattern) for k in range(2)]
+    assert measures.detail_correlation(*frames) > 0.8 > measures.coarse_correlation(*frames)
+    moved = [as_bytes(np.roll(texture(), 9 * k, 1)) for k in range(2)]
+    assert abs(measures.detail_correlation(*moved)) < 0.1
+
+
+def test_tiles_repeat_themselves_and_noise_does_not():
+    y, x = np.mgrid[:120, :160]
+    tiles = as_bytes(120 + 50 * np.sign(np.sin(x / 4) * np.sin(y / 4)))
+    assert measures.repetition(tiles) > 0.9 > 0.3 > measures.repetition(as_bytes(texture()))
+    assert measures.repetition(np.full((60, 80), 7, np.uint8)) == 0
+
+
+def test_blur_lowers_sharpness():
+    image = as_bytes(texture(blur=1))
+    fine = measures.sharpness(image)
+    assert fine > 0.5 > 5 * measures.sharpness(cv2.GaussianBlur(image, (0, 0), 8))
+
+
+def test_measures_of_one_pair_are_finite():
+    pair = as_bytes(texture()), as_bytes(np.roll(texture(), 3, 1))
+    found = measure_images([pair], [(np.zeros((0, 2)), np.zeros((0, 2)))])
+    assert all(np.isfinite(value) for value in vars(found).values())
+    assert image_cause(found, TRACKS) is None
+
+
+def frames_with_tracks(counts):
+    """Return tracks of frames: each frame shows as many of the points 0, 1, 2, …"""
+    random = np.random.default_rng(0)
+    return [
+        Observations(points=random.uniform(10, 100, (count, 2)), tracks=first + np.arange(count))
+        for first, count in counts
+    ]
+
+
+def search_in(observations):
+    return CauseSearch(
+        observations=observations,
+        views=[],
+        matches={},
+        camera=tisfm.Camera(focal=100.0),
+        shape=(120, 160),
+        grey=None,
+    )
+
+
+def test_frames_beside_a_path_tell_a_cut_from_another_view():
+    search = search_in(frames_with_tracks([(0, 50), (1000, 50), (1020, 50), (1022, 5)]))
+    statuses = statuses_without_pose(
+        [1, 2, 3], search, has_pieces=True, distinct_count=4, is_focal_known=True
+    )
+    assert [str(status) for status in statuses.values()] == ["unrelated", "unrelated", "no_texture"]
+    assert "a cut" in statuses[1].message and "another part" in statuses[2].message
+
+
+def test_runs_of_frames():
+    assert runs_of([]) == [] and runs_of([3]) == [[3]]
+    assert runs_of([0, 1, 4, 5, 6, 9]) == [[0, 1], [4, 5, 6], [9]]
+
+
+def spoiled(kind):
+    """Return a film of a room with strong noise, or with a strong fixed pattern."""
+    film = room_film(along(5), 120, 160, samples=1)
+    random = np.random.default_rng(0)
+    shape = film.frames.shape[1:] if kind == "fixed_pattern" else film.frames.shape
+    noise = np.broadcast_to(random.normal(0, 40, shape), film.frames.shape)
+    return [as_bytes(frame + off) for frame, off in zip(film.frames, noise, strict=True)], film
+
+
+@pytest.mark.parametrize("kind", ["noise", "fixed_pattern"])
+def test_spoiled_film_has_the_status_of_its_cause(kind):
+    frames, film = spoiled(kind)
+    fast = tisfm.Settings.preset("fast", motion="camera")
+    result = tisfm.reconstruct(frames, camera=film.camera, settings=fast)
+    assert set(map(str, result.status)) == {kind}
