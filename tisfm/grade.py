@@ -18,7 +18,8 @@ class GradeSettings:
     max_fair: float = 0.10  # expected relative error of depth; set by hand
     # median error over standard deviation: of the normal distribution
     median_ratio: float = 0.6745
-    # relative error of depth over relative error of a focal length; an experiment had 0 to 0.3
+    # relative error of depth over relative error of a focal length; an experiment had 0 to 0.3 in
+    # the scenes that chose it, and up to 0.7 in others
     focal_effect: float = 0.25
     # relative deviation of a guessed focal length: cameras have 0.5 to 2 longer sides
     guessed_focal_deviation: float = 0.5
