@@ -199,7 +199,7 @@ def test_shell_commands_exist(path):
 @page
 def test_options_in_the_text_exist(path):
     known = set().union(*map(options_of, COMMANDS)) | OF_TISFM
-    bench = {"--bars", "--smoke", "--data", "--before"}  # of python -m bench
+    bench = {"--bars", "--smoke", "--data", "--before", "--only"}  # of python -m bench
     for span in re.findall(r"`([^`\n]+)`", prose(path)):
         if not span.startswith(("python", "pip")):
             assert set(OPTION.findall(span)) <= known | bench, span

@@ -63,7 +63,7 @@ class Grade(str, Enum):
     >>> import tisfm
     >>> result = tisfm.Reconstruction.load("walk")
     >>> str(result.grade(0)), result.grade(0).is_green
-    ('fair', True)
+    ('good', True)
     """
 
     GOOD = "good"
