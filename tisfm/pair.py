@@ -1,7 +1,8 @@
 """The interpretation of a pair of frames."""
 
 import math
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal, get_args
 
 import cv2
 import numpy as np
@@ -24,6 +25,7 @@ from tisfm.window import Window
 if TYPE_CHECKING:
     from tisfm.solver.image_pyramid import ImagePyramid
 
+FixedPixels = Literal["mask", "keep"]
 ENERGY_OVERFLOW = Status(
     "diverged",
     "the energy grew beyond what single precision can hold: bring the frames to the 8-bit scale",
@@ -39,6 +41,7 @@ def interpret(
     settings: Settings | None = None,
     pose: npt.ArrayLike | None = None,
     mask: npt.ArrayLike | None = None,
+    fixed_pixels: FixedPixels = "mask",
 ) -> Interpretation:
     """Interpret two frames: 3D motion, depth and image motion at every pixel of frame 0.
 
@@ -74,6 +77,11 @@ def interpret(
         Pixels to use, for both frames or for each; black, zero or False pixels are ignored, for
         example bonnets, logos and mattes. By default all are used.
 
+    fixed_pixels : {"mask", "keep"}
+        Whether pixels that are fixed on the sensor although the camera moves, such as a bonnet or a
+        logo, are found and ignored as by `mask` (``motion="camera"``, for a camera without
+        distortion and readout). The message of the status says so.
+
     Returns
     -------
     Interpretation
@@ -93,8 +101,9 @@ def interpret(
         If a frame is not an image of these types, the two differ in size or type, or a pixel is
         masked, NaN, infinite or beyond 1e36; if `pose` is not one of these matrices, turns by 90°
         or more, has a translation whose length is neither 0 nor from 1e-30 to 1e30, or is given
-        for a motion that is not ``"camera"``; if almost no pixel of the frames has data without
-        distortion; if `mask` does not have the size of the frames, or excludes all pixels of one.
+        for a motion that is not ``"camera"``; if `fixed_pixels` is another word; if almost no pixel
+        of the frames has data without distortion; if `mask` does not have the size of the frames,
+        or excludes all pixels of one.
 
     Notes
     -----
@@ -124,11 +133,19 @@ def interpret(
     >>> str(still.status)
     'no_motion'
     """
+    if fixed_pixels not in get_args(FixedPixels):
+        raise InputError(f'fixed_pixels is {fixed_pixels!r}: expected "mask" or "keep"')
     ignored = None
     if mask is not None:
         ignored = ignored_pixels(mask, check_frame(frame0, "frame0").shape[:2])
     return interpret_pair(
-        frame0, frame1, camera=camera, settings=settings, pose=pose, ignored=ignored
+        frame0,
+        frame1,
+        camera=camera,
+        settings=settings,
+        pose=pose,
+        ignored=ignored,
+        fixed_pixels=fixed_pixels,
     )
 
 
@@ -142,6 +159,7 @@ def interpret_pair(
     ignored: tuple[np.ndarray | None, np.ndarray | None] | None = None,
     scales_unit_range: bool = True,
     window: Window | None = None,
+    fixed_pixels: FixedPixels = "mask",
 ) -> Interpretation:
     """Interpret a pair of a sequence, as `interpret` does.
 
@@ -170,6 +188,7 @@ def interpret_pair(
     from tisfm.motion.depth_checks import depth_status, with_brightness_advice
     from tisfm.motion.estimate import history_of
     from tisfm.motion.field import field_estimate
+    from tisfm.motion.fixed_pixels import resize_mask, with_fixed_note
     from tisfm.motion.frame_agreement import confirms_large_motion, diverged_status, field_status
     from tisfm.motion.light import with_light_note
     from tisfm.motion.objects.estimation import objects_estimate
@@ -180,7 +199,24 @@ def interpret_pair(
         previous = previous_frame(pyramid, settings, None if window is None else window.previous)
         estimate = field_estimate(pyramid, settings, previous)
     elif settings.motion == "camera":
-        estimate = camera_estimate(pyramid, settings, known_pose)
+        is_plain = lens is None and not prepared_pair.camera.readout
+        finds_fixed_pixels = fixed_pixels == "mask" and is_plain
+        estimate = camera_estimate(
+            pyramid, settings, known_pose, finds_fixed_pixels=finds_fixed_pixels
+        )
+        if estimate.fixed_pixels is not None:
+            fixed = resize_mask(estimate.fixed_pixels, pyramid.shape)
+            result = interpret_pair(
+                frame0,
+                frame1,
+                camera=camera,
+                settings=settings,
+                pose=pose,
+                ignored=_with_ignored(ignored, fixed),
+                scales_unit_range=scales_unit_range,
+                fixed_pixels="keep",
+            )
+            return replace(result, status=with_fixed_note(result.status, fixed))
     else:
         estimate = objects_estimate(pyramid, settings, *prepared_pair.greys)
     flow, deviation = estimate.flow, estimate.inverse_depth_std
@@ -257,6 +293,17 @@ def interpret_pair(
         history=history,
         version=__version__,
         focal_deviation=math.inf if camera is None and settings.motion != "field" else 0.0,
+    )
+
+
+def _with_ignored(
+    ignored: tuple[np.ndarray | None, np.ndarray | None] | None, fixed: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ignored pixels of both frames with fixed pixels, (H, W) bool."""
+    first, second = (None, None) if ignored is None else ignored
+    return (
+        fixed if first is None else first | fixed,
+        fixed if second is None else second | fixed,
     )
 
 

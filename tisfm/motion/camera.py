@@ -8,6 +8,7 @@ from tisfm.motion.camera_doubts import misfit_doubt
 from tisfm.motion.egomotion import sample_rays
 from tisfm.motion.estimate import Estimate, make_depthless_estimate, make_estimate
 from tisfm.motion.first_motion import FirstMotion, first_motion
+from tisfm.motion.fixed_pixels import find_fixed_pixels
 from tisfm.motion.plane_sweep import PlaneSweep
 from tisfm.motion.rigid_depth import Refinement, RigidSolution, rigid_depth, scaled_translations
 from tisfm.motion.settings import DEPTH
@@ -17,11 +18,18 @@ from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.status import Status
 
+# Statuses of a first motion that say how the camera turned.
+STATUSES_OF_MOTION = ("little_parallax", "pure_rotation")
+NO_DEPTH_YET = Status("uncertain", "pixels that are fixed on the sensor have to be ignored first")
+
 
 def camera_estimate(
     pyramid: ImagePyramid,
     settings: Settings,
     pose: KnownPose | None,  # known pose, or known rotation alone
+    *,
+    # whether an incomplete estimate is returned if pixels are fixed on the sensor
+    finds_fixed_pixels: bool = False,
 ) -> Estimate:
     """Find one rigid motion and the inverse depth of every pixel directly from the images.
 
@@ -49,8 +57,11 @@ def camera_estimate(
     start = first_motion(
         pyramid, settings, pose=pose, min_pixels=DEPTH.min_first_pixels, use_matches=True
     )
-    if start.status is not None:
-        return first_motion_estimate(pyramid, settings, start, start.status, level=level)
+    fixed_pixels = _fixed_pixels(pyramid, start) if finds_fixed_pixels else None
+    if fixed_pixels is not None or start.status is not None:
+        status = start.status or NO_DEPTH_YET
+        estimate = first_motion_estimate(pyramid, settings, start, status, level=level)
+        return replace(estimate, fixed_pixels=fixed_pixels)
     if pose is None and not start.uses_matches and start.doubt is None:
         rays = sample_rays(start.flow, start.trust, pyramid.cameras[start.level])
         start = replace(start, doubt=misfit_doubt(rays, (start.rotation, start.translation)))
@@ -118,6 +129,23 @@ def camera_estimate(
         light=start.light,
     )
     return estimate if start.doubt is None else replace(estimate, status=start.doubt)
+
+
+def _fixed_pixels(pyramid: ImagePyramid, start: FirstMotion) -> np.ndarray | None:
+    """Return the pixels that are fixed on the sensor, (h, w) bool, or None."""
+    if start.status not in (None, *STATUSES_OF_MOTION) or start.uses_matches:
+        return None
+    has_translation = start.translation.any() and start.status != "pure_rotation"
+    unit = start.translation / np.linalg.norm(start.translation) if has_translation else None
+    return find_fixed_pixels(
+        pyramid.frames0[start.level],
+        pyramid.frames1[start.level],
+        pyramid.cameras[start.level],
+        start.rotation,
+        unit,
+        start.flow,
+        start.residual * pyramid.scales[start.level],
+    )
 
 
 def _refit_on_finer_flow(

@@ -51,6 +51,9 @@ class Estimate:
     start_flow: np.ndarray | None = None
     start_level: int = 0  # level of `start_flow`
     light: tuple[LightChange, ...] = ()  # changes of light that were undone in the pyramid
+    # (h, w) bool or None: pixels that are fixed on the sensor, of a level; the estimate is then
+    # incomplete, and has to be made again without these pixels
+    fixed_pixels: np.ndarray | None = None
 
 
 def no_motion_status(solution: Solution, *, is_textured: bool = True) -> Status | None:

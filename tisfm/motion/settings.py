@@ -452,9 +452,30 @@ class IntrinsicsSettings:
     max_misfit: float = 0.07
 
 
+@dataclass(frozen=True, kw_only=True)
+class FixedPixelSettings:
+    """Pixels that are fixed on the sensor, in px of the level of the first flow field."""
+
+    window: int = 7  # px: side of the window that averages texture and its change
+    min_slope: float = 4.0  # grey levels per px: texture that would show a motion
+    max_shift: float = 0.2  # px: change of texture that counts as rest
+    # px, and deviations of the flow: distance of a pixel at rest from where it may move
+    min_distance: float = 0.75
+    min_deviations: float = 5.0
+    # shares of the textured pixels that are fixed, if some are; with more, the camera is at rest
+    min_share: float = 0.02
+    max_share: float = 0.6
+    gap: int = 9  # px: gaps between fixed pixels that are closed
+    border: int = 4  # px from the lower border: regions that touch it
+    min_area: float = 0.01  # share of the frame: smallest region at the lower border
+    flow_step: int = 4  # px between pixels that give the typical depth
+    min_motion: float = 0.5  # px: motion above such a region, and expected in it
+
+
 EGOMOTION = EgomotionSettings()
 LIGHT = LightSettings()
 INTRINSICS = IntrinsicsSettings()
+FIXED = FixedPixelSettings()
 DEPTH = DepthSettings()
 SPARSE = SparseSettings()
 PROPOSALS = ProposalSettings()
