@@ -57,11 +57,10 @@ def find_fixed_pixels(
         fixed |= _at_lower_border(is_at_rest, camera, (rotation, translation), flow)
     if np.count_nonzero(fixed) < FIXED.min_share * textured_count:
         return None
-    kernel = cv2.getStructuringElement(cv2.MORPH_RECT, (FIXED.gap, FIXED.gap))
-    fixed = cv2.morphologyEx(
-        cv2.copyMakeBorder(fixed, *[FIXED.gap] * 4, cv2.BORDER_REPLICATE), cv2.MORPH_CLOSE, kernel
+    closed = cv2.morphologyEx(
+        np.pad(fixed, FIXED.gap, mode="edge"), cv2.MORPH_CLOSE, np.ones((FIXED.gap,) * 2, np.uint8)
     )[FIXED.gap : -FIXED.gap, FIXED.gap : -FIXED.gap]
-    mask = cv2.dilate(fixed, np.ones(window, np.uint8)) > 0
+    mask = np.asarray(cv2.dilate(closed, np.ones(window, np.uint8)) > 0)
     return None if mask.mean() > FIXED.max_share else mask
 
 
@@ -101,11 +100,11 @@ def _at_lower_border(
         if top + region_height < height - FIXED.border or area < FIXED.min_area * closed.size:
             continue
         region = (regions == number) & is_at_rest
-        rays = np.vstack(
-            [_normalised(*np.nonzero(region), camera, is_at_rest.shape), np.ones(region.sum())]
-        )
+        region_rows, region_columns = np.nonzero(region)
+        seen = _normalised(region_rows, region_columns, camera, is_at_rest.shape)
+        rays = np.vstack([seen, np.ones(len(region_rows))])
         moved = pose[0] @ rays + depth * pose[1][:, None]
-        expected = camera.focal * median(length(moved[:2] / moved[2] - rays[:2]))
+        expected = camera.focal * median(length(moved[:2] / moved[2] - seen))
         above = flow[max(top - FIXED.gap, 0) : max(top, 1), left : left + region_width]
         speed = median(np.hypot(above[..., 0], above[..., 1]).ravel())
         if min(expected, speed) > FIXED.min_motion:
