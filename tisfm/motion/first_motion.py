@@ -233,7 +233,8 @@ def _estimate_in_even_light(
     if settings.gradient == 0 or start.status is not None:
         return start
     change = light_change(pyramid.frames0[level], pyramid.frames1[level], start.flow, start.trust)
-    if change is None:
+    # the search for objects allows for small changes of light, so that they are no objects
+    if change is None or (settings.motion == "objects" and not change.is_large):
         return start
     given_frames1, given_start = pyramid.frames1, start
     pyramid.set_frames1([change.undo(frame) for frame in given_frames1])
