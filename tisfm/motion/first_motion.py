@@ -236,6 +236,9 @@ def _estimate_in_even_light(
     # the search for objects allows for small changes of light, so that they are no objects
     if change is None or (settings.motion == "objects" and not change.is_large):
         return start
+    frames = pyramid.frames0[level], pyramid.frames1[level]
+    if unrelated_status(*frames, start.flow, start.trust) is not None:  # the flow is wrong
+        return start
     given_frames1, given_start = pyramid.frames1, start
     pyramid.set_frames1([change.undo(frame) for frame in given_frames1])
     if not change.is_large:
