@@ -207,6 +207,8 @@ def reconstructions(motion="objects"):
         "status": [["converged", ""]] * FRAMES,
         "depth_error": [0.02, None, *[0.2] * (FRAMES - 2)],
         "depth_share": [1.0, 0.0, *[0.3] * (FRAMES - 2)],
+        "grade": ["good", "no depth", *["poor"] * (FRAMES - 2)],
+        "zoom": [1.0] * FRAMES,
         "notes": [],
         "keyframes": [0, 2],
         "skipped": [[7, "damaged"]],

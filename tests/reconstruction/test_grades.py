@@ -9,10 +9,11 @@ import pytest
 import tisfm
 from tests.exports.made import made
 from tisfm.formats import FormatError
-from tisfm.grade import GRADES
+from tisfm.grade import GRADES, Grade
 from tisfm.reconstruction.result.calibration import Calibration
 from tisfm.reconstruction.result.folder import RECORD
 from tisfm.reconstruction.result.statuses import add_piece_note, mark_uncertain
+from tisfm.reconstruction.result.summary import summarise_grades
 from tisfm.status import Status
 
 
@@ -65,3 +66,15 @@ def test_deviation_of_the_focal_length():
     assert given.relative_focal_std == 0 and guessed.relative_focal_std == np.inf
     estimated = Calibration(origin="estimated", focal=200.0, focal_std=3.0)
     assert estimated.relative_focal_std == pytest.approx(0.015)
+
+
+def test_frames_without_requested_depth_count_if_no_frame_has_depth():
+    posed, lost = Status("converged"), Status("no_texture")
+    grades = [Grade.NO_DEPTH, Grade.NO_DEPTH, Grade.NO_POSE]
+    unknown = [np.nan] * 3
+    assert summarise_grades(grades, [posed, posed, lost], unknown).median == "no depth"
+    grades[0] = Grade.GOOD
+    assert summarise_grades(grades, [posed, posed, lost], [0.01, np.nan, np.nan]).counts == {
+        Grade.GOOD: 1,
+        Grade.NO_POSE: 1,
+    }

@@ -17,13 +17,11 @@ def summarise_grades(
 ) -> GradeSummary:
     """Return the summary of the grades of frames.
 
-    Frames whose depth was not requested do not count, unless there are no others.
+    Frames whose depth was not requested do not count if other frames have depth.
     """
-    chosen = [
-        frame
-        for frame, grade in enumerate(grades)
-        if grade != Grade.NO_DEPTH or statuses[frame] != "converged"
-    ] or range(len(grades))
+    chosen = list(range(len(grades)))
+    if not np.isnan(np.asarray(errors)).all():
+        chosen = [k for k in chosen if grades[k] != Grade.NO_DEPTH or statuses[k] != "converged"]
     return GradeSummary.of([grades[k] for k in chosen], [errors[k] for k in chosen])
 
 
