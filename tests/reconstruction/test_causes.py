@@ -15,9 +15,11 @@ from tisfm.reconstruction.causes.cause_search import CauseSearch
 from tisfm.reconstruction.causes.image_measures import ImageMeasures, measure_images
 from tisfm.reconstruction.causes.track_measures import TrackMeasures
 from tisfm.reconstruction.path.missing_poses import runs_of, statuses_without_pose
+from tisfm.reconstruction.result.path_check import UNCHECKED
+from tisfm.reconstruction.result.statuses import mark_contradicted
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.report.tables import MEANINGS
-from tisfm.status import STATUSES
+from tisfm.status import STATUSES, Status
 
 # A sharp film of a room, whose light does not change.
 GOOD = ImageMeasures(
@@ -51,6 +53,7 @@ def as_bytes(image):
         ({"light_change": 0.3}, "changing_light", "30 %"),
         ({"contrast": 2.0, "brightness": 9.0}, "no_texture", "dark"),
         ({"contrast": 2.0}, "no_texture", "bare"),
+        ({"contrast": 0.0, "brightness": 0.0, "light_change": 5.0}, "no_texture", "dark"),
         ({"noise": 18.0}, "noise", "18 grey levels"),
         ({"sharpness": 0.02}, "no_texture", "blurred"),
         ({"texture": 0.05}, "no_texture", "5 %"),
@@ -158,6 +161,17 @@ def test_frames_beside_a_path_tell_a_cut_from_another_view():
     )
     assert [str(status) for status in statuses.values()] == ["unrelated", "unrelated", "no_texture"]
     assert "a cut" in statuses[1].message and "another part" in statuses[2].message
+
+
+def test_contradiction_names_what_hides_the_motion():
+    check = replace(UNCHECKED, fixed_share=0.5, infinity_motion=9.0)
+    assert check.contradicts
+    light = Status("changing_light", "the brightness changes")
+    first, second = mark_contradicted(
+        [Status("converged")] * 2, [0, 1], [check, check], causes={1: light}
+    )
+    assert first == second == "contradicted" and first.message == check.message
+    assert second.message == f"the brightness changes. As a result, {check.message}"
 
 
 def test_runs_of_frames():

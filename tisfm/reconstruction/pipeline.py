@@ -22,6 +22,7 @@ from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.grade import depth_error
 from tisfm.lens import Undistortion
 from tisfm.reconstruction.calibration.source_camera import SourceCamera
+from tisfm.reconstruction.causes.cause_search import CauseSearch
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.objects.sequence_labels import (
@@ -419,7 +420,13 @@ def write_result(
         piece=depth.piece,
         unit=(1.0,) * len(path_result.path.pieces),
         status=mark_uncertain(
-            mark_contradicted(depth.status, depth.piece.tolist(), checks), errors
+            mark_contradicted(
+                depth.status,
+                depth.piece.tolist(),
+                checks,
+                _contradiction_causes(reading.frames, path_result.path, checks),
+            ),
+            errors,
         ),
         depth_error=errors,
         depth_share=shares,
@@ -442,6 +449,26 @@ def write_result(
         write_mask(job.folder, path_result.fixed_pixels)
     write_record(job.folder, result)
     return result
+
+
+def _contradiction_causes(
+    frames: PreparedFrames, path: CameraPath, checks: Sequence[PathCheck]
+) -> dict[int, Status]:
+    """Return what hides the motion in contradicted pieces, by piece, if the images show it."""
+    search = CauseSearch(
+        observations=path.observations,
+        views=(),
+        matches={},
+        camera=frames.camera.pinhole(),
+        shape=frames.shape,
+        grey=lambda frame: frames.tracker_input(frame)[0],
+    )
+    causes = {
+        number: search.find_image_cause(range(min(piece.poses), max(piece.poses) + 1))
+        for number, (piece, check) in enumerate(zip(path.pieces, checks, strict=True))
+        if check.contradicts
+    }
+    return {number: cause for number, cause in causes.items() if cause is not None}
 
 
 def _known_positions(path: CameraPath, depth: DepthResult) -> tuple[np.ndarray, np.ndarray]:

@@ -9,6 +9,8 @@ from tisfm.status import Status
 
 def image_cause(images: ImageMeasures, tracks: TrackMeasures) -> Status | None:
     """Return what the images show against a path, as a status; None for nothing."""
+    if images.structure < CAUSES.min_contrast:
+        return Status("no_texture", _texture_message(images))
     if (
         images.fixed_correlation > CAUSES.max_fixed_correlation
         and images.coarse_correlation < CAUSES.max_coarse_correlation
@@ -25,8 +27,6 @@ def image_cause(images: ImageMeasures, tracks: TrackMeasures) -> Status | None:
             f"the brightness changes by {100 * images.light_change:.0f} % from frame to frame, and "
             "hides the motion. Lock the exposure, avoid lamps that flicker, or even out the frames",
         )
-    if images.structure < CAUSES.min_contrast:
-        return Status("no_texture", _texture_message(images))
     if images.noise > CAUSES.max_noise_share * images.contrast and (
         tracks.survival < CAUSES.min_noise_survival or images.texture < CAUSES.min_textured_blocks
     ):

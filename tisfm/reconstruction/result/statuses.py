@@ -1,6 +1,7 @@
 """Statuses of frames that depend on their piece of the path."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
@@ -45,13 +46,16 @@ def mark_contradicted(
     statuses: Sequence[Status],
     pieces: Sequence[int],  # piece of each frame, −1 for none
     checks: Sequence[PathCheck],  # of each piece
+    # by piece: what hides the motion, if the images show it
+    causes: Mapping[int, Status] = MappingProxyType({}),
 ) -> tuple[Status, ...]:
     """Return the statuses of frames: all frames of a contradicted piece are contradicted."""
     marked = []
     for status, piece in zip(statuses, pieces, strict=True):
         if piece >= 0 and checks[piece].contradicts:
             is_new_piece = NEW_PIECE_NOTE in status.message
-            status = Status("contradicted", checks[piece].message)
+            cause = f"{causes[piece].message}. As a result, " if piece in causes else ""
+            status = Status("contradicted", cause + checks[piece].message)
             status = add_piece_note(status) if is_new_piece else status
         marked.append(status)
     return tuple(marked)
