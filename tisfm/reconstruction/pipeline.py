@@ -297,7 +297,7 @@ def _mask_fixed_pixels(job: Job, reading: ReadingResult) -> tuple[CameraPath, np
     if mask is None:
         return None
     path = _track_and_solve(job, reading, job.calibrate, mask)
-    if not camera_turns(path.pieces, frames.camera):
+    if not camera_turns(path.pieces, frames):
         return None
     frames.ignore(mask)
     return path, mask

@@ -44,13 +44,17 @@ def find_infinity_motion(rotations: Sequence[np.ndarray], camera: Camera) -> flo
     )
 
 
-def camera_turns(pieces: Sequence[Piece], camera: Camera) -> bool:
+def camera_turns(pieces: Sequence[Piece], frames: PreparedFrames) -> bool:
     """Return whether points at infinity move enough in the largest piece of a path."""
     if not pieces:
         return False
     poses = max((piece.poses for piece in pieces), key=len)
     rotations = [pose[:3, :3] for pose in poses.values()]
-    return find_infinity_motion(rotations, camera) > LIMITS.min_infinity_motion
+    grey = frames.grey(0)
+    motion = find_infinity_motion(rotations, frames.camera) * flow_scale(
+        shrink_for_flow(grey), grey
+    )
+    return motion > LIMITS.min_infinity_motion
 
 
 def find_fixed_pixels(frames: PreparedFrames) -> np.ndarray | None:

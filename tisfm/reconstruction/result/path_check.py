@@ -111,7 +111,8 @@ class PathCheck:
     fixed_share : float
         Share of the texture that is fixed on the sensor.
     infinity_motion : float
-        Motion of points at infinity, px of the frames: fixed texture is seen only if it is large.
+        Motion of points at infinity, px of frames shrunk for flow: fixed texture is seen only if
+        it is large.
     parts : tuple of PathCheck
         If chunks of frames were joined to the piece, the check of each chunk. If one of them
         contradicts its part of the path, the whole piece is contradicted. Empty for one part.
