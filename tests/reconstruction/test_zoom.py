@@ -1,4 +1,4 @@
-"""A zoom that the camera does not state: a focal length for each frame."""
+"""A zoom, or a distortion, that the camera does not state."""
 
 import json
 from dataclasses import replace
@@ -10,8 +10,14 @@ import pytest
 import tisfm
 from tisfm.metrics import absolute_errors
 from tisfm.reconstruction.calibration.camera_adjustment import TrackBundle, adjust_camera
+from tisfm.reconstruction.calibration.source_camera import add_radial
+from tisfm.reconstruction.mapping.solution import FocalEstimate
+from tisfm.reconstruction.result.calibration import Calibration
+from tisfm.reconstruction.result.path_check import PathCheck
+from tisfm.reconstruction.result.statuses import mark_contradicted
 from tisfm.resampling import ZoomRemoval
 from tisfm.scenes import room_film
+from tisfm.status import Status
 
 FAST = tisfm.Settings.preset("fast", motion="camera")
 FOCAL = 200.0
@@ -155,3 +161,44 @@ def test_constant_focal_length_stays_constant(film):
     assert default.zoom is None
     assert np.array_equal(default.poses, fixed.poses)
     assert default.calibration.message == ""
+
+
+@pytest.mark.nightly
+def test_distortion_that_is_not_stated_is_found(film):
+    # r = r_u (1 + k1 r_u²): the strong barrel of a wide lens
+    height, width = film.frames[0].shape
+    focal, center = film.camera.focal, film.camera.center_for(height, width)
+    matrix = np.array([[focal, 0, center[0]], [0, focal, center[1]], [0, 0, 1]])
+    pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1)
+    straight = cv2.undistortPoints(
+        pixels.reshape(-1, 1, 2).astype(np.float64), matrix, np.array([-0.2, 0, 0, 0]), P=matrix
+    ).reshape(height, width, 2)
+    source = straight.astype(np.float32)
+    frames = [
+        cv2.remap(np.asarray(frame), source[..., 0], source[..., 1], cv2.INTER_CUBIC)
+        for frame in film.frames
+    ]
+    result = tisfm.reconstruct(frames, camera=film.camera, settings=FAST, depth_of="none")
+    assert set(map(str, result.status)) == {"converged"}
+    assert result.calibration.radial == pytest.approx(-0.2, abs=0.04)
+    assert 0 < result.calibration.radial_std < 0.02
+    assert result.camera.focal == film.camera.focal
+    assert absolute_errors(result.poses, film.poses).similarity < 0.02
+    assert "the lens distorts: k1 =" in result.summary()
+
+
+def test_objection_to_the_camera_contradicts_all_frames_with_a_pose():
+    statuses = [Status("converged"), Status("no_pose", "few tracks"), Status("converged")]
+    check = PathCheck(pairs=(), fixed_share=0.0, infinity_motion=0.0)
+    marked = mark_contradicted(statuses, [0, -1, 0], [check], objection="another focal length fits")
+    assert list(map(str, marked)) == ["contradicted", "no_pose", "contradicted"]
+    assert marked[0].message == "another focal length fits"
+    assert mark_contradicted(statuses, [0, -1, 0], [check]) == tuple(statuses)
+
+
+def test_coefficient_of_a_stated_focal_length_is_said():
+    given = Calibration(origin="given", focal=200.0, shape=(180, 240))
+    estimate = FocalEstimate(focal=200.0, deviation=0.0, radial=-0.2, radial_deviation=0.004)
+    said = add_radial(given, estimate)
+    assert (said.radial, said.radial_std, said.focal) == (-0.2, 0.004, 200.0)
+    assert "k1 = -0.200 ± 0.004, estimated from the sequence and removed" in said.message

@@ -76,8 +76,9 @@ def reconstruct(
         ``"radial"`` also finds one coefficient of the lens, k1, and removes its distortion. If a
         camera is given with ``"focal"`` or ``"radial"``, its focal length is a guess. Its
         distortion displaces pixels in the same way with every estimated focal length.
-        Without this argument, a zoom is also found and removed (`Reconstruction.focal`), if the
-        tracks show it; a given focal length is then that of the first frame.
+        Without this argument, a zoom (`Reconstruction.focal`) or a distortion that is not given is
+        also found and removed, if the tracks show it; with a zoom, a given focal length is that of
+        the first frame.
         `Reconstruction.calibration` tells how reliable the estimate is. If poses are given without
         a camera, the focal length is guessed from the first image file or the size of the frames.
     settings : Settings, optional

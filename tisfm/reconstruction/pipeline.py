@@ -425,6 +425,7 @@ def write_result(
                 depth.piece.tolist(),
                 checks,
                 _contradiction_causes(reading.frames, path_result.path, checks),
+                path_result.path.objection,
             ),
             errors,
         ),
@@ -505,7 +506,10 @@ def _solve_or_take_path(
         grey=lambda frame: reading.frames.tracker_input(frame)[0],
     )
     path = solver.solve(reading.instants)
-    return revise_path(path, solver, reading.instants) if job.revises_camera else path
+    if not job.revises_camera:
+        return path
+    is_pinhole = reading.camera.full_camera.distortion is None
+    return revise_path(path, solver, reading.instants, may_distort=is_pinhole)
 
 
 def _label_all_frames(job: Job, reading: ReadingResult) -> None:

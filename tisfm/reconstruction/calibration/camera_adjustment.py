@@ -101,6 +101,7 @@ def adjust_camera(
     focal: float,  # px: start value
     free: Sequence[str] = (),  # the free unknowns of `COMMON`; the others keep their start value
     *,
+    radial: float = 0.0,  # start value of k1
     has_zoom: bool = False,  # whether each frame has a focal length of its own
     # (F,): zoom that was removed from the tracks before; the prior holds for the sum
     removed_zoom: np.ndarray | None = None,
@@ -111,7 +112,7 @@ def adjust_camera(
     """Adjust poses, points and the free unknowns of the camera.
 
     The zoom of the first frame is 0. A prior says that the zoom per frame hardly changes from frame
-    to frame; single jumps are allowed. Coefficients of the lens start at 0.
+    to frame; single jumps are allowed. Other coefficients of the lens start at 0.
 
     References
     ----------
@@ -126,7 +127,7 @@ def adjust_camera(
     state = _State(
         poses=bundle.poses,
         points=bundle.points,
-        common=np.array([np.log(focal), 0.0, 0.0, 0.0, 0.0]),
+        common=np.array([np.log(focal), radial, 0.0, 0.0, 0.0]),
         zoom=np.zeros(count),
         removed_zoom=np.zeros(count) if removed_zoom is None else removed_zoom,
     )

@@ -136,6 +136,23 @@ def add_zoom(calibration: Calibration, zoom: np.ndarray) -> Calibration:
     )
 
 
+def add_radial(calibration: Calibration, estimate: FocalEstimate) -> Calibration:
+    """Return the calibration of a stated focal length, with an estimated k1 of the lens."""
+    text = calibration.message or f"{calibration.focal:.4g} px{at_size(calibration.shape)}, given"
+    return replace(
+        calibration,
+        radial=estimate.radial,
+        radial_std=estimate.radial_deviation,
+        message=f"{text}; the lens distorts: k1 = {describe_radial(estimate)}, estimated from the "
+        "sequence and removed",
+    )
+
+
+def describe_radial(estimate: FocalEstimate) -> str:
+    """Return a text: the coefficient of the lens and its deviation."""
+    return f"{estimate.radial:.3f} ± {float(f'{estimate.radial_deviation:.1g}'):g}"
+
+
 def make_calibration(
     # estimate from the sequence, px of the used frames (after crop and reduction)
     estimate: FocalEstimate | None,
@@ -150,7 +167,8 @@ def make_calibration(
 ) -> Calibration:
     """Return the origin and uncertainty of a focal length, in px of the frames of the source."""
     if not is_estimated and guess is None:
-        return replace(given_calibration, focal=focal, shape=shape)
+        calibration = replace(given_calibration, focal=focal, shape=shape)
+        return calibration if estimate is None else add_radial(calibration, estimate)
     if estimate is None or not estimate.is_useful:
         text = f"the focal length is a guess, {focal:.0f} px{at_size(shape)}"
         if guess is not None:
@@ -169,7 +187,7 @@ def make_calibration(
     deviation = estimate.deviation * focal / camera.focal
     text = f"{describe_focal(focal, deviation, shape)}, estimated from the sequence"
     if estimate.radial:
-        text += f" with k1 = {estimate.radial:.3f} ± {float(f'{estimate.radial_deviation:.1g}'):g}"
+        text += f" with k1 = {describe_radial(estimate)}"
     reason = DISTORTION_NOTE if estimate.shows_distortion else UNCERTAIN_NOTE
     message = text if estimate.is_certain else f"the focal length is {text}: {reason}; {ADVICE}"
     return Calibration(

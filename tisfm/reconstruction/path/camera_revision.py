@@ -1,8 +1,9 @@
-"""A zoom that a path was solved without.
+"""A zoom, or the distortion of a lens, that a path was solved without.
 
 A path is solved with one focal length for all frames. Its tracks are then adjusted with a richer
 camera: a focal length for each frame, and a distorting lens. Only if the richer camera explains
-them clearly better, the path is solved again without the zoom that was found.
+them clearly better, the path is solved again without the zoom, or without the distortion. If
+neither is shown, but another camera fits the tracks better than the stated one, the path says so.
 """
 
 from collections.abc import Sequence
@@ -14,13 +15,18 @@ from tisfm.camera import Camera
 from tisfm.reconstruction.calibration.camera_adjustment import (
     COMMON,
     AdjustedCamera,
-    TrackBundle,
     adjust_camera,
 )
 from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.mapping.models import ViewGraph
 from tisfm.reconstruction.mapping.settings import MAPPING
-from tisfm.reconstruction.mapping.solution import Piece
+from tisfm.reconstruction.path.lens_revision import revise_lens
+from tisfm.reconstruction.path.path_bundle import (
+    bundle_of,
+    largest_piece,
+    posed_count,
+    relative_cost,
+)
 from tisfm.reconstruction.path.path_solver import CameraPath, PathSolver
 from tisfm.reconstruction.path.settings import REVISION
 from tisfm.reconstruction.submaps.settings import SUBMAPS
@@ -29,12 +35,18 @@ from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 
 
-def revise_path(path: CameraPath, solver: PathSolver, instants: np.ndarray) -> CameraPath:
-    """Return the path with a focal length for each frame if the tracks show it.
+def revise_path(
+    path: CameraPath,
+    solver: PathSolver,  # it solved the path
+    instants: np.ndarray,  # as for `PathSolver.solve`
+    *,
+    may_distort: bool,  # whether the lens may distort: no distortion is stated or estimated
+) -> CameraPath:
+    """Return the path with the zoom or the distortion that its tracks show.
 
-    Otherwise the path itself is returned. `solver` solved it, with the same `instants`.
+    Otherwise the path itself is returned, with an objection if its camera does not fit its tracks.
     """
-    views = len(_largest_piece(path).views) if path.pieces else 0
+    views = len(largest_piece(path).views) if path.pieces else 0
     if not REVISION.min_views <= views <= SUBMAPS.max_views:
         return path
     free = () if solver.calibrate == "nothing" else ("focal",)
@@ -43,7 +55,9 @@ def revise_path(path: CameraPath, solver: PathSolver, instants: np.ndarray) -> C
     ):
         return path
     zoomed = _solve_zoom(path, solver, instants, free)
-    return path if zoomed is None or not _shows_zoom(path, zoomed, solver) else zoomed.path
+    if zoomed is not None and _shows_zoom(path, zoomed, solver):
+        return zoomed.path
+    return revise_lens(path, solver, instants) if may_distort else path
 
 
 def _fits_badly(path: CameraPath, tracks: SequenceTracks) -> bool:
@@ -58,12 +72,12 @@ def needs_richer_camera(
     shape: tuple[int, int],  # height and width of the frames, px
 ) -> bool:
     """Return whether a richer camera explains the tracks of the largest piece clearly better."""
-    views = list(_largest_piece(path).views)
+    views = list(largest_piece(path).views)
     for begin in range(0, len(views), REVISION.window_views):
         window = views[begin : begin + REVISION.window_views]
         if len(window) < REVISION.min_views:
             continue
-        bundle = _bundle_of(path, window, shape)
+        bundle = bundle_of(path, window, shape)
         base = adjust_camera(
             bundle, path.camera.focal, free, scales=(MAPPING.outlier_pixels,),
             steps=REVISION.base_steps,
@@ -95,9 +109,9 @@ def _solve_zoom(
     shape, count = solver.tracks.shape, len(solver.tracks.observations)
     total = np.zeros(count)
     for _ in range(REVISION.zoom_rounds):
-        views = list(_largest_piece(path).views)
+        views = list(largest_piece(path).views)
         adjusted = adjust_camera(
-            _bundle_of(path, views, shape),
+            bundle_of(path, views, shape),
             path.camera.focal,
             free,
             has_zoom=True,
@@ -110,14 +124,14 @@ def _solve_zoom(
         total += change
         tracks = unzoom_tracks(solver.tracks, total, solver.camera)
         path = replace(solver, tracks=tracks).solve(instants)
-        if not path.pieces or len(_largest_piece(path).views) < REVISION.min_views:
+        if not path.pieces or len(largest_piece(path).views) < REVISION.min_views:
             return None
     return _ZoomedPath(path=replace(path, zoom=np.exp(total)), adjusted=adjusted)
 
 
 def _shows_zoom(path: CameraPath, zoomed: _ZoomedPath, solver: PathSolver) -> bool:
     """Return whether a zoom is significant, and explains what no constant camera explains."""
-    shape, views = solver.tracks.shape, list(_largest_piece(path).views)
+    shape, views = solver.tracks.shape, list(largest_piece(path).views)
     zoom, adjusted = zoomed.path.zoom, zoomed.adjusted
     deviation = float(adjusted.zoom_deviation.max())
     if zoom is None or deviation > REVISION.max_zoom_deviation:
@@ -125,9 +139,9 @@ def _shows_zoom(path: CameraPath, zoomed: _ZoomedPath, solver: PathSolver) -> bo
     extent = float(np.log(zoom.max() / zoom.min()))
     if extent < max(REVISION.min_zoom, REVISION.min_zoom_significance * deviation):
         return False
-    if _posed(zoomed.path) < _posed(path):
+    if posed_count(zoomed.path) < posed_count(path):
         return False
-    bundle = _bundle_of(path, views, shape)
+    bundle = bundle_of(path, views, shape)
     constant = adjust_camera(bundle, path.camera.focal, ("focal", "k1"))
     if relative_cost(adjusted, constant) > REVISION.max_zoom_cost:
         return False
@@ -137,14 +151,6 @@ def _shows_zoom(path: CameraPath, zoomed: _ZoomedPath, solver: PathSolver) -> bo
     free = adjust_camera(adjusted.bundle, adjusted.focal, ("focal",), has_zoom=True)
     limit = max(REVISION.max_focal_change, REVISION.max_focal_deviations * free.common_deviation[0])
     return bool(abs(np.log(free.focal / solver.camera.focal)) < limit)
-
-
-def relative_cost(first: AdjustedCamera, second: AdjustedCamera) -> float:
-    """Return the robust cost of an adjustment over that of another, on the tracks of both."""
-    _, rows, others = np.intersect1d(first.bundle.tracks, second.bundle.tracks, return_indices=True)
-    if not len(rows):
-        return np.inf
-    return float(first.costs[rows].sum() / second.costs[others].sum())
 
 
 def unzoom_tracks(
@@ -170,18 +176,3 @@ def unzoom_tracks(
             replace(view, observations=in_view, detected=unzoom_points(view.detected, view.frame))
         )
     return replace(tracks, observations=observations, views=views)
-
-
-def _largest_piece(path: CameraPath) -> Piece:
-    return max(path.pieces, key=lambda piece: len(piece.poses))
-
-
-def _posed(path: CameraPath) -> int:
-    return sum(len(piece.poses) for piece in path.pieces)
-
-
-def _bundle_of(path: CameraPath, frames: Sequence[int], shape: tuple[int, int]) -> TrackBundle:
-    """Return the tracks of the largest piece of a path in some of its frames."""
-    return TrackBundle.from_piece(
-        _largest_piece(path), path.observations, frames, path.camera.pinhole(), shape
-    )

@@ -57,6 +57,8 @@ class CameraPath:
     # Poses, points and tracks belong to the focal length of the first frame.
     zoom: np.ndarray | None = None
     score: float = 0.0  # as for `PathSolution`
+    # why the camera cannot be right, and what to do; "" if nothing says so
+    objection: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,7 +198,7 @@ class PathSolver:
         is_focal_known = self.calibrate == "nothing" or bool(solution.pieces)
         search = RotationSearch(
             observations=solution.observations,
-            views=_undistort_views(solution.views, solution.camera, self.tracks.shape),
+            views=undistort_views(solution.views, solution.camera, self.tracks.shape),
             matches=self.tracks.matches,
             camera=solution.camera.pinhole(),
             shape=self.tracks.shape,
@@ -288,8 +290,8 @@ class PathSolver:
                 if focal is None:  # no submap has a path
                     return self._solve_from_models([], views, tracks, camera)
             estimated_camera = camera if focal is None else focal.apply_to(camera)
-            observations = _undistort_tracks(tracks, estimated_camera, shape)
-            undistorted_views = _undistort_views(views, estimated_camera, shape)
+            observations = undistort_tracks(tracks, estimated_camera, shape)
+            undistorted_views = undistort_views(views, estimated_camera, shape)
             models = models_from_submaps(
                 undistorted_views,
                 matches,
@@ -304,7 +306,7 @@ class PathSolver:
         return self._solve_from_models(
             models,
             views,
-            _undistort_tracks(tracks, estimated_camera, shape),
+            undistort_tracks(tracks, estimated_camera, shape),
             estimated_camera,
             focal,
         )
@@ -348,7 +350,7 @@ def find_path(
     return solver.solve()
 
 
-def _undistort_tracks(
+def undistort_tracks(
     tracks: Sequence[Observations], camera: Camera, shape: tuple[int, int]
 ) -> Sequence[Observations]:
     """Return the tracks of every frame as a pinhole would see them."""
@@ -360,7 +362,7 @@ def _undistort_tracks(
     return undistorted
 
 
-def _undistort_views(
+def undistort_views(
     views: Sequence[View], camera: Camera, shape: tuple[int, int]
 ) -> Sequence[View]:
     """Return views as a pinhole would see them."""

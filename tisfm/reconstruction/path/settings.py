@@ -31,6 +31,15 @@ class RevisionSettings:
     # logarithm: difference of the focal length that the tracks show from a stated one
     max_focal_change: float = 0.05
     max_focal_deviations: float = 4.0  # standard deviations of this difference
+    # lens_revision
+    # displacement at the corner of the frame, as a share of its radius, of the distortions that are
+    # tried first
+    lens_starts: tuple[float, ...] = (-0.25, -0.1, 0.1)
+    lens_rounds: int = 1  # times that the path is solved again with the adjusted distortion
+    min_displacement: float = 0.015  # smallest displacement of a distortion that is removed
+    min_lens_significance: float = 6.0  # standard deviations of the coefficient
+    # robust cost with a distortion over that with another focal length
+    max_lens_cost: float = 0.95
 
 
 REVISION = RevisionSettings()

@@ -48,14 +48,15 @@ def mark_contradicted(
     checks: Sequence[PathCheck],  # of each piece
     # by piece: what hides the motion, if the images show it
     causes: Mapping[int, Status] = MappingProxyType({}),
+    objection: str = "",  # what contradicts the camera of all pieces; "" if nothing does
 ) -> tuple[Status, ...]:
     """Return the statuses of frames: all frames of a contradicted piece are contradicted."""
     marked = []
     for status, piece in zip(statuses, pieces, strict=True):
-        if piece >= 0 and checks[piece].contradicts:
+        if piece >= 0 and (objection or checks[piece].contradicts):
             is_new_piece = NEW_PIECE_NOTE in status.message
             cause = f"{causes[piece].message}. As a result, " if piece in causes else ""
-            status = Status("contradicted", cause + checks[piece].message)
+            status = Status("contradicted", objection or cause + checks[piece].message)
             status = add_piece_note(status) if is_new_piece else status
         marked.append(status)
     return tuple(marked)

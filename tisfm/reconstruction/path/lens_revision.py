@@ -1,0 +1,204 @@
+"""The radial distortion of a lens that a path was solved without.
+
+A path that was solved without the distortion may be so bent that no adjustment leads to the right
+one. So the path is solved again from tracks from which several distortions were removed. The
+distortion is then adjusted, with the tracks as the frames show them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.reconstruction.calibration.camera_adjustment import (
+    COMMON,
+    AdjustedCamera,
+    adjust_camera,
+)
+from tisfm.reconstruction.mapping.solution import FocalEstimate
+from tisfm.reconstruction.path.path_bundle import (
+    bundle_of,
+    largest_piece,
+    posed_count,
+    relative_cost,
+)
+from tisfm.reconstruction.path.path_solver import (
+    CameraPath,
+    PathSolver,
+    undistort_tracks,
+    undistort_views,
+)
+from tisfm.reconstruction.path.settings import REVISION
+
+ADVICE = "give the camera with its distortion"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _LensPath:
+    """A path of tracks without distortion, and the camera adjusted with the distorted tracks."""
+
+    path: CameraPath
+    adjusted: AdjustedCamera
+
+    @property
+    def radial(self) -> float:
+        """k1, in units of the focal length of the path."""
+        return float(self.adjusted.common[1])
+
+    @property
+    def radial_deviation(self) -> float:
+        """Standard deviation of k1."""
+        return float(self.adjusted.common_deviation[1])
+
+
+def revise_lens(path: CameraPath, solver: PathSolver, instants: np.ndarray) -> CameraPath:
+    """Return the path without a distortion k1 that the tracks show.
+
+    Otherwise the path itself is returned. Either has an objection if the tracks fit another focal
+    length than the stated one, or a lens that one coefficient does not describe.
+    """
+    is_focal_known = solver.calibrate == "nothing"
+    free: tuple[str, ...] = () if is_focal_known else ("focal",)
+    shape = solver.tracks.shape
+    base = adjust_camera(
+        bundle_of(path, list(largest_piece(path).views), shape), path.camera.focal, free
+    )
+    refocused = _other_focal(solver, instants) if is_focal_known else None
+    lens = _solve_lens(solver, instants, free)
+    if lens is not None and not _shows_lens(path, base, refocused, lens, solver):
+        lens = None
+    if lens is None:
+        return replace(path, objection=_focal_objection(base, refocused, solver.camera))
+    radial = lens.radial
+    estimate = lens.path.focal or FocalEstimate(focal=lens.path.camera.focal, deviation=0.0)
+    return replace(
+        lens.path,
+        camera=replace(lens.path.camera, distortion=(radial, 0.0, 0.0, 0.0)),
+        focal=replace(
+            estimate,
+            radial=radial,
+            radial_deviation=lens.radial_deviation,
+            shows_distortion=False,
+        ),
+        objection=_lens_objection(lens, solver),
+    )
+
+
+def _solve_lens(solver: PathSolver, instants: np.ndarray, free: Sequence[str]) -> _LensPath | None:
+    """Return the path whose tracks fit a distortion k1 best; None if there is none."""
+    corner = float(np.hypot(*solver.camera.center_for(*solver.tracks.shape)))
+    unit = (solver.camera.focal / corner) ** 2
+    found = [
+        lens
+        for start in REVISION.lens_starts
+        if (lens := _solve_with(start * unit, solver, instants, free)) is not None
+    ]
+    if not found:
+        return None
+    best = found[0]
+    for other in found[1:]:
+        if relative_cost(other.adjusted, best.adjusted) < 1:
+            best = other
+    for _ in range(REVISION.lens_rounds):
+        # the coefficient in units of the focal length that the solver starts with
+        radial = best.radial * (solver.camera.focal / best.path.camera.focal) ** 2
+        refined = _solve_with(radial, solver, instants, free)
+        if refined is None:
+            break
+        best = refined
+    return best
+
+
+def _solve_with(
+    radial: float, solver: PathSolver, instants: np.ndarray, free: Sequence[str]
+) -> _LensPath | None:
+    """Return the path after the distortion k1 was removed from tracks, and k1 adjusted then."""
+    shape = solver.tracks.shape
+    camera = replace(solver.camera, distortion=(radial, 0.0, 0.0, 0.0))
+    tracks = replace(
+        solver.tracks,
+        observations=undistort_tracks(solver.tracks.observations, camera, shape),
+        views=undistort_views(solver.tracks.views, camera, shape),
+    )
+    path = replace(solver, tracks=tracks).solve(instants)
+    if not path.pieces or len(largest_piece(path).views) < REVISION.min_views:
+        return None
+    if path.focal is not None and not path.focal.is_useful:
+        return None
+    views = list(largest_piece(path).views)
+    adjusted = adjust_camera(
+        bundle_of(path, views, shape, solver.tracks.observations),
+        path.camera.focal,
+        (*free, "k1"),
+        radial=radial * (path.camera.focal / solver.camera.focal) ** 2,
+    )
+    return _LensPath(path=path, adjusted=adjusted)
+
+
+def _other_focal(solver: PathSolver, instants: np.ndarray) -> AdjustedCamera | None:
+    """Return the camera of a path that was solved as if the focal length was unknown."""
+    path = replace(solver, calibrate="focal", is_focal_known=False).solve(instants)
+    if not path.pieces or path.focal is None or not path.focal.is_useful:
+        return None
+    views = list(largest_piece(path).views)
+    return adjust_camera(bundle_of(path, views, solver.tracks.shape), path.camera.focal, ("focal",))
+
+
+def _shows_lens(
+    path: CameraPath,
+    base: AdjustedCamera,
+    refocused: AdjustedCamera | None,
+    lens: _LensPath,
+    solver: PathSolver,
+) -> bool:
+    """Return whether a distortion is significant, and explains what no pinhole explains."""
+    corner = float(np.hypot(*solver.camera.center_for(*solver.tracks.shape)))
+    displacement = abs(lens.radial) * (corner / lens.path.camera.focal) ** 2
+    return (
+        posed_count(lens.path) >= posed_count(path)
+        and displacement > REVISION.min_displacement
+        and abs(lens.radial) > REVISION.min_lens_significance * lens.radial_deviation
+        and relative_cost(lens.adjusted, base) < REVISION.max_cost
+        and (refocused is None or relative_cost(lens.adjusted, refocused) < REVISION.max_lens_cost)
+    )
+
+
+def _focal_objection(base: AdjustedCamera, refocused: AdjustedCamera | None, camera: Camera) -> str:
+    """Return what contradicts a stated focal length, and advice; "" if nothing does."""
+    if refocused is None or relative_cost(refocused, base) > REVISION.max_cost:
+        return ""
+    deviation = float(refocused.common_deviation[0])
+    limit = max(REVISION.max_focal_change, REVISION.max_focal_deviations * deviation)
+    if abs(np.log(refocused.focal / camera.focal)) < limit:
+        return ""
+    share = 100 * (refocused.focal / camera.focal - 1)
+    return (
+        f"the tracks fit a focal length that is {abs(share):.0f} % "
+        f"{'longer' if share > 0 else 'shorter'} than the stated one: pose and depth are probably "
+        'wrong. Check the focal length, or use calibrate="focal" (--calibrate focal)'
+    )
+
+
+def _lens_objection(lens: _LensPath, solver: PathSolver) -> str:
+    """Return what contradicts one coefficient of a lens, and advice; "" if nothing does."""
+    adjusted = lens.adjusted
+    full = adjust_camera(adjusted.bundle, adjusted.focal, COMMON, radial=lens.radial)
+    if relative_cost(full, adjusted) < REVISION.max_cost:
+        return (
+            f"the lens distorts in a way that one radial coefficient (k1 = {lens.radial:.2f}) does "
+            f"not describe: pose and depth are probably wrong. {ADVICE.capitalize()}"
+        )
+    if solver.calibrate != "nothing":
+        return ""
+    free = adjust_camera(adjusted.bundle, adjusted.focal, ("focal", "k1"), radial=lens.radial)
+    limit = max(REVISION.max_focal_change, REVISION.max_focal_deviations * free.common_deviation[0])
+    if relative_cost(free, adjusted) > REVISION.max_lens_cost or (
+        abs(np.log(free.focal / solver.camera.focal)) < limit
+    ):
+        return ""
+    return (
+        f"the lens distorts (k1 = {lens.radial:.2f}), and the tracks do not fit the stated focal "
+        f"length: pose and depth are probably wrong. {ADVICE.capitalize()}, or use "
+        'calibrate="radial" (--calibrate radial)'
+    )
