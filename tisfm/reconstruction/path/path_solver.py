@@ -152,7 +152,7 @@ class PathSolver:
         """Return the reason for each frame without a pose."""
         search = CauseSearch(
             observations=solution.observations,
-            views=_undistort_views(solution.views, solution.camera, self.tracks.shape),
+            views=undistort_views(solution.views, solution.camera, self.tracks.shape),
             matches=self.tracks.matches,
             camera=solution.camera.pinhole(),
             shape=self.tracks.shape,
