@@ -88,6 +88,25 @@ def test_focal_length_comes_from_the_rotation(focal):
     assert errors(piece, poses).max() < 0.3
 
 
+def test_focal_length_comes_from_one_half_of_the_image():
+    poses, points = turns(8), scene(1500)
+    observations = seen(points[points[:, 1] > 0.1 * points[:, 2]], poses)  # texture below the sky
+    piece, estimate = search(observations).find_piece(range(8), is_focal_known=False)
+    assert len(piece.poses) == 8 and abs(estimate.focal - FOCAL) < 3 * estimate.deviation
+    strict = replace(search(observations), max_deviation=0.2 * estimate.deviation / FOCAL)
+    _, useless = strict.find_piece(range(8), is_focal_known=False) or (None, None)
+    assert useless is None  # the guess is better known
+
+
+def test_half_of_the_time_without_pairs_is_left_out():
+    poses = turns(8)
+    pairs = frame_pairs(range(8), seen(scene(), poses), [], {}, CAMERA, SHAPE)
+    pairs = [pair for pair in pairs if pair.second > 4 and pair.first < 4]
+    found = Orientations(rotations=poses[:, :3, :3], focal=FOCAL)
+    assert abs(search([])._estimate(found, pairs).focal - FOCAL) < 1
+    assert search([])._estimate(found, []) is None
+
+
 def test_moving_object_does_not_disturb_orientations():
     poses = turns(12)
     still, moving = scene(), scene(80, seed=3) * (0.3, 0.4, 1)

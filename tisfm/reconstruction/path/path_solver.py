@@ -202,6 +202,7 @@ class PathSolver:
             matches=self.tracks.matches,
             camera=solution.camera.pinhole(),
             shape=self.tracks.shape,
+            max_deviation=self.max_deviation,
         )
         for frames in runs_of(solution.missing_frames):
             if len(frames) < ROTATION.min_frames:

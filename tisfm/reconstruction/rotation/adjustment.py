@@ -12,7 +12,6 @@ from tisfm.reconstruction.rotation.frame_pairs import FramePair
 from tisfm.reconstruction.rotation.settings import ROTATION
 
 _BLOCK = 20_000  # points whose derivatives are in memory at once
-_MIN_Z = 0.05  # smallest z of a ray that is projected: a larger angle gives no useful derivative
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +24,7 @@ class Orientations:
 
 def adjust_orientations(
     start: Orientations,
-    pairs: Sequence[FramePair],  # `first` and `second` are indices of `start.rotations`
+    pairs: Sequence[FramePair],  # at least one; frames are indices of `start.rotations`
     noise: float,  # px: larger residuals have a decreasing weight
     *,
     with_focal: bool,  # whether the focal length is adjusted
@@ -47,7 +46,7 @@ def adjust_orientations(
     for _ in range(ROTATION.max_steps):
         matrix, vector = points.normal_equations(now, noise)
         matrix, vector = matrix[is_free][:, is_free], vector[is_free]
-        diagonal = diags(np.maximum(matrix.diagonal(), 1e-12))
+        diagonal = diags(np.maximum(matrix.diagonal(), ROTATION.min_diagonal))
         while True:
             step = np.zeros(len(is_free))
             step[is_free] = -np.atleast_1d(spsolve((matrix + damping * diagonal).tocsc(), vector))
@@ -59,11 +58,12 @@ def adjust_orientations(
             trial_cost = points.cost(trial, noise)
             if trial_cost <= cost:
                 break
-            damping *= 10
-            if damping > 1e6:
+            damping *= ROTATION.damping_factor
+            if damping > ROTATION.max_damping:
                 return now
         is_done = cost - trial_cost <= ROTATION.min_decrease * cost
-        now, cost, damping = trial, trial_cost, max(damping / 10, 1e-9)
+        now, cost = trial, trial_cost
+        damping = max(damping / ROTATION.damping_factor, ROTATION.min_damping)
         if is_done:
             break
     return now
@@ -104,7 +104,7 @@ class _Points:
         turns = np.swapaxes(found.rotations[self._second], 1, 2) @ found.rotations[self._first]
         rays = np.column_stack([self._before[part] / focal, np.ones(len(pair))])
         turned = np.einsum("nij,nj->ni", turns[pair], rays)
-        depth = np.maximum(turned[:, 2:], _MIN_Z)
+        depth = np.maximum(turned[:, 2:], ROTATION.min_ray_z)
         return focal * turned[:, :2] / depth - self._after[part], rays, turned, turns[pair]
 
     def cost(self, found: Orientations, noise: float) -> float:
@@ -147,7 +147,7 @@ class _Points:
         in the second frame into v − b × v.
         """
         residual, rays, turned, turns = self.project(found, part)
-        focal, depth = found.focal, np.maximum(turned[:, 2], _MIN_Z)
+        focal, depth = found.focal, np.maximum(turned[:, 2], ROTATION.min_ray_z)
         u, v, zero = turned[:, 0] / depth, turned[:, 1] / depth, np.zeros_like(depth)
         projection = (focal / depth)[:, None, None] * np.stack(
             [np.column_stack([zero + 1, zero, -u]), np.column_stack([zero, zero + 1, -v])], axis=1

@@ -1,7 +1,7 @@
 """Pieces in which the camera only turns: orientations, and the focal length if it is unknown."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -9,6 +9,7 @@ from scipy.optimize import minimize_scalar
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.calibration.settings import CALIBRATION
+from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.mapping.solution import FocalEstimate, Piece
 from tisfm.reconstruction.rotation.adjustment import (
     Orientations,
@@ -31,6 +32,9 @@ class RotationSearch:
     matches: Mapping[tuple[int, int], np.ndarray]  # by pair of view indices: (N, 2) indices
     camera: Camera  # pinhole camera
     shape: tuple[int, int]  # height and width of the frames, px
+    # largest standard deviation of an estimate that replaces the guess, as a share of the focal
+    # length
+    max_deviation: float = field(default_factory=lambda: MAPPING.max_useful_deviation)
 
     def find_piece(
         self,
@@ -51,7 +55,9 @@ class RotationSearch:
         if not sample:
             return None
         focal = self.camera.focal if is_focal_known else self._find_focal(sample)
-        if focal is None or self._residual_share(sample, focal) > 2 * ROTATION.max_residual_share:
+        if focal is None:
+            return None
+        if self._residual_share(sample, focal) > ROTATION.max_first_residual_share:
             return None
         piece_frames, rotations, pairs = self._chain(frames, pairs, focal)
         if len(piece_frames) < ROTATION.min_frames:
@@ -59,10 +65,12 @@ class RotationSearch:
         start = Orientations(rotations=rotations, focal=focal)
         found = adjust_orientations(start, pairs, self._noise, with_focal=not is_focal_known)
         explained = self._explained_frames(found, pairs)
-        if explained.sum() < max(ROTATION.min_frames, len(explained) / 2):
+        if explained.sum() < ROTATION.min_frames:
+            return None
+        if explained.mean() < ROTATION.min_explained_share:
             return None
         estimate = None if is_focal_known else self._estimate(found, pairs)
-        if estimate is not None and not self._is_plausible(estimate):
+        if not is_focal_known and (estimate is None or not self._is_plausible(estimate)):
             return None
         poses = {}
         for frame, rotation in zip(
@@ -221,35 +229,30 @@ class RotationSearch:
         mapped = cv2.perspectiveTransform(pair.before[None], matrix)[0]
         return max(smallest, float(np.median(np.hypot(*(mapped - pair.after).T))))
 
-    def _estimate(self, found: Orientations, pairs: Sequence[FramePair]) -> FocalEstimate:
-        """Return the focal length, with the deviation from halves of the time and of the image."""
-        middle = len(found.rotations) // 2
-        parts = [
-            [pair for pair in pairs if max(pair.first, pair.second) <= middle],
-            [pair for pair in pairs if min(pair.first, pair.second) >= middle],
-        ]
-        for axis in (0, 1):
-            for sign in (-1, 1):
-                halves = [(pair, sign * pair.before[:, axis] > 0) for pair in pairs]
-                parts.append(
-                    [
-                        replace(pair, before=pair.before[half], after=pair.after[half])
-                        for pair, half in halves
-                        if half.any()
-                    ]
-                )
+    def _estimate(self, found: Orientations, pairs: Sequence[FramePair]) -> FocalEstimate | None:
+        """Return the focal length, with the deviation from halves of the time and of the image.
+
+        Halves without points are left out. None is returned if fewer than two halves remain.
+        """
+        halves = [half for half in _halve(found, pairs) if half]
+        if len(halves) < ROTATION.min_halves:
+            return None
         errors = []
-        for number, part in enumerate(parts):
-            factor = ROTATION.part_start_factor ** (1 if number % 2 else -1)
+        for number, half in enumerate(halves):
+            factor = ROTATION.half_start_factor ** (1 if number % 2 else -1)
             start = replace(found, focal=factor * found.focal)
-            focal = adjust_orientations(start, part, self._noise, with_focal=True).focal
+            focal = adjust_orientations(start, half, self._noise, with_focal=True).focal
             errors.append(np.log(focal / found.focal))
         spread = CALIBRATION.spread_to_deviation * float(np.sqrt(np.mean(np.square(errors))))
         rotation, homography, motion = self._compare_with_homographies(found, pairs).T
         excess = np.sqrt(np.maximum(rotation**2 - homography**2, 0)) / motion
         arc = ROTATION.arc_deviation * float(np.median(excess))
         deviation = float(np.linalg.norm([spread, ROTATION.focal_deviation, arc]))
-        return FocalEstimate(focal=found.focal, deviation=deviation * found.focal)
+        return FocalEstimate(
+            focal=found.focal,
+            deviation=deviation * found.focal,
+            max_deviation=self.max_deviation,
+        )
 
     def _is_plausible(self, estimate: FocalEstimate) -> bool:
         """Return whether the focal length is shown, and clearly within the searched range."""
@@ -259,3 +262,23 @@ class RotationSearch:
             and estimate.focal - estimate.deviation > low
             and estimate.focal + estimate.deviation < high
         )
+
+
+def _halve(found: Orientations, pairs: Sequence[FramePair]) -> list[list[FramePair]]:
+    """Return the pairs of each half of the time, and the points in each half of the image."""
+    middle = len(found.rotations) // 2
+    halves = [
+        [pair for pair in pairs if max(pair.first, pair.second) <= middle],
+        [pair for pair in pairs if min(pair.first, pair.second) >= middle],
+    ]
+    for axis in (0, 1):
+        for sign in (-1, 1):
+            chosen = [(pair, sign * pair.before[:, axis] > 0) for pair in pairs]
+            halves.append(
+                [
+                    replace(pair, before=pair.before[half], after=pair.after[half])
+                    for pair, half in chosen
+                    if half.any()
+                ]
+            )
+    return halves

@@ -23,6 +23,11 @@ class RotationSettings:
     min_decrease: float = 1e-6  # relative decrease of the cost that ends the steps
     start_damping: float = 1e-6  # damping of the first step
     max_focal_step: float = 0.3  # logarithm of the focal length in one step
+    damping_factor: float = 10.0  # of the damping, from one step to the next
+    max_damping: float = 1e6  # larger damping ends the steps: none lowers the cost
+    min_damping: float = 1e-9
+    min_diagonal: float = 1e-12  # of the normal equations: rounding of float64
+    min_ray_z: float = 0.05  # of a ray that is projected: beyond 87° derivatives are of no use
     # rotation_search
     min_frames: int = 3  # frames of a piece
     min_inlier_share: float = 0.5  # inliers of a pair that one rotation explains
@@ -30,8 +35,11 @@ class RotationSettings:
     # Median residual of a pair divided by its median motion. It is 0.011 to 0.017 where a camera
     # turns, also in the hand, and 0.1 to 0.2 where it moves in a room.
     max_residual_share: float = 0.04
+    # the same share before the adjustment: orientations and a focal length from single pairs
+    max_first_residual_share: float = 0.08
     # the same share for a single frame, whose motion may be smaller, while noise is the same
     max_frame_residual_share: float = 0.08
+    min_explained_share: float = 0.5  # frames of a piece that a rotation explains
     # longer sides: median motion of a pair that shows whether the camera only turns
     min_motion: float = 0.02
     max_frame_pairs: int = 3  # pairs with the largest motions by which a frame is checked
@@ -43,9 +51,11 @@ class RotationSettings:
     # camera that turns behind a very long lens.
     focal_range: tuple[float, float] = (0.4, 2.5)
     focal_candidates: int = 9  # focal lengths that are tried first, evenly in their logarithms
-    # start value of the focal length of a part divided by the estimate, or the inverse ratio
-    part_start_factor: float = 1.2
-    # Relative error of the focal length beyond the differences between parts. On seven rendered
+    # halves of the time and of the image that have points: fewer show no deviation
+    min_halves: int = 2
+    # start value of the focal length of a half divided by the estimate, or the inverse ratio
+    half_start_factor: float = 1.2
+    # Relative error of the focal length beyond the differences between halves. On seven rendered
     # pans, the estimates were off by 0 to 0.7 %.
     focal_deviation: float = 0.005
     # The same error, divided by the residual share beyond that of a homography. In a hand, the
