@@ -77,6 +77,11 @@ def test_an_uncertain_focal_length_adds_an_error():
         ("little_parallax", np.nan, "no depth"),
         ("contradicted", 0.01, "contradicted"),
         ("behind_camera", 0.01, "contradicted"),
+        ("contradicted", np.nan, "contradicted"),
+        ("pose_mismatch", np.nan, "contradicted"),
+        ("diverged", 1.0, "contradicted"),
+        ("diverged", np.nan, "no depth"),
+        ("unrelated", np.nan, "no depth"),
     ],
 )
 def test_words(status, error, word):

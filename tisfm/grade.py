@@ -41,6 +41,8 @@ COLORS = {
 
 # Statuses that say that pose or depth are wrong.
 _WRONG = ("contradicted", "diverged", "pose_mismatch", "behind_camera", "unexplained", "unrelated")
+# Those that say nothing of a pose: without depth, nothing is wrong.
+_WRONG_DEPTH = ("diverged", "unrelated")
 # Statuses that do not say that depth is doubtful.
 _RIGHT = ("converged", "iteration_limit")
 
@@ -51,8 +53,8 @@ class Grade(str, Enum):
     - ``"good"``: half of the depth is expected to be off by at most 3 %.
     - ``"fair"``: by at most 10 %.
     - ``"poor"``: by more, or by an unknown amount; or the status says that depth is rough.
-    - ``"no depth"``: a frame of a sequence has a pose, or an orientation where the camera only
-      turns; depth is unknown, or was not requested.
+    - ``"no depth"``: depth is unknown, or was not requested; a frame of a sequence has a pose, or
+      an orientation where the camera only turns.
     - ``"no pose"``: a frame of a sequence has neither pose nor depth.
     - ``"contradicted"``: the images contradict the pose or the depth, as the status says.
 
@@ -123,7 +125,7 @@ def depth_error(
 
 def grade_depth(status: Status, error: float) -> Grade:
     """Return the grade of a depth, from its status and its expected relative error."""
-    if status in _WRONG:
+    if status in _WRONG and not (status in _WRONG_DEPTH and np.isnan(error)):
         return Grade.CONTRADICTED
     if np.isnan(error):
         return Grade.NO_DEPTH
@@ -192,10 +194,9 @@ def warn_of_grades(
     """Return a warning of contradicted frames, or else of poor depth; "" without such frames."""
     chosen = range(len(grades)) if frames is None else list(frames)
     if wrong := [k for k in chosen if grades[k] == Grade.CONTRADICTED]:
+        text = f"Grade contradicted, {len(wrong)} of {len(chosen)} frames"
         message = statuses[wrong[0]].message
-        return f"Grade contradicted, {len(wrong)} of {len(chosen)} frames" + f": {message}" * bool(
-            message
-        )
+        return f"{text}: {message}" if message else text
     if rough := [k for k in chosen if grades[k] == Grade.POOR]:
         known_errors = [errors[k] for k in rough if not np.isnan(errors[k])]
         text = f", expected to be off by up to {percent(max(known_errors))}" if known_errors else ""

@@ -39,7 +39,7 @@ _ABOUT_ENTRIES = (
 )  # fmt: skip
 _RIGID_STATUSES = (
     "pose_mismatch", "little_parallax", "pure_rotation", "two_motions", "behind_camera",
-    "unexplained", "uncertain",
+    "unexplained", "uncertain", "contradicted",
 )  # fmt: skip
 _STATUSES_WITHOUT_DEPTH = (
     "no_motion", "no_texture", "little_parallax", "pure_rotation", "unrelated", "aperture",

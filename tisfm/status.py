@@ -43,8 +43,8 @@ class Status(str):
       orientation; its position is unknown, and 0.
     - ``"little_parallax"``: the camera hardly moved. No depth.
     - ``"uncertain"``: the camera moved so little that depth is rough; with ``motion="camera"`` also
-      if much of the depth has a large deviation, or if regions of the image do not move as one
-      rigid motion lets them.
+      if half of the depth is expected to be off by more than 10 %, if much of it has a large
+      deviation, or if regions of the image do not move as one rigid motion lets them.
     - ``"two_motions"``: two motions explain the frames equally well, because the frames show one
       plane or are far apart; depth follows from one of the motions.
     - ``"contradicted"``: the image motion contradicts the camera, because a zoom, a lens, or a turn
@@ -56,6 +56,8 @@ class Status(str):
     - ``"behind_camera"``: much of the scene would lie behind the camera.
     - ``"unexplained"``: motion and depth do not align much of the texture; depth is wrong there.
     - ``"pose_mismatch"``: the given pose contradicts the images; depth still follows from the pose.
+
+    Of a frame of a sequence:
 
     - ``"noise"``, ``"fixed_pattern"``, ``"changing_light"``: the frame has no pose, because noise,
       a pattern that is fixed on the sensor, or light that changes hides the motion.

@@ -14,7 +14,7 @@ WITHOUT_DEPTH = (
     "no_motion", "no_texture", "little_parallax", "pure_rotation", "unrelated", "aperture",
 )  # fmt: skip
 OF_CAMERA = ("behind_camera", "unexplained")
-OF_RIGID = ("two_motions", "little_parallax", "pure_rotation", "uncertain")
+OF_RIGID = ("two_motions", "little_parallax", "pure_rotation", "uncertain", "contradicted")
 OF_FRAMES = ("converged", "no_motion", "no_texture", "little_parallax", "unrelated")
 SCALES = ("size", "contact", "around", "none")
 HALF = 2**-11  # what 11 significant bits are off by

@@ -350,6 +350,12 @@ def test_a_field_has_no_motions(saved):
     refused(saved, "it has motions", 'motion="field"')
 
 
+@pytest.mark.parametrize("status", ["contradicted", "uncertain", "pose_mismatch"])
+def test_a_field_has_no_status_of_rigid_motion(saved, status):
+    about(saved, status=status)
+    refused(saved, f"the status '{status}' does not occur", 'motion="field"')
+
+
 # What it says about itself
 
 

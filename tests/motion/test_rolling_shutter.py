@@ -11,9 +11,12 @@ from tests.draws import nightly_except
 from tests.motion.one_motion import FAST
 from tests.rendered import room_film
 from tisfm.metrics import pose_errors
+from tisfm.motion import rolling_shutter
+from tisfm.motion.camera import camera_estimate
 from tisfm.motion.rolling_shutter import _depth_of_frame1
 from tisfm.rigid import pose_matrix, rigid_motion
 from tisfm.shutter import GlobalShutterMap, interpolation_nodes
+from tisfm.status import Status
 
 READOUT = 0.8
 MOTIONS = {
@@ -62,6 +65,18 @@ def test_the_result_belongs_to_its_frame():
     inside = np.s_[10:-10, 10:-10]
     left = np.abs(result.frame - true)[inside].mean()
     assert left < 0.5 * np.abs(read - true)[inside].mean()
+
+
+def test_rows_are_corrected_if_their_skew_contradicts_the_camera(monkeypatch):
+    usual = interpreted(film(), READOUT)
+
+    def contradicted(*arguments):
+        return replace(camera_estimate(*arguments), status=Status("contradicted", "a zoom"))
+
+    monkeypatch.setattr(rolling_shutter, "camera_estimate", contradicted)
+    result = interpreted(film(), READOUT)
+    np.testing.assert_array_equal(result.frame, usual.frame)
+    assert result.camera.readout == 0 and result.status == usual.status
 
 
 def test_no_readout_changes_nothing():

@@ -215,6 +215,17 @@ def test_exports_say_that_positions_are_unknown(turned, tmp_path):
     assert "sideways" in frames.depth_advice
 
 
+def test_nerfstudio_counts_frames_outside_the_largest_piece_with_positions(turned, tmp_path):
+    status = (*turned.status[:4], Status("converged"), Status("converged"))
+    piece = np.array([0, 0, 0, 0, 1, 1], np.int32)
+    mixed = replace(turned, status=status, piece=piece, unit=(1.0, 1.0))
+    export = ExportRequest(
+        result=mixed, frames=SequenceFrames(mixed), chosen=range(6), folder=tmp_path
+    )
+    notes = FORMATS["nerfstudio"].notes(export)
+    assert any(note.startswith("only the largest piece; 4 frames") for note in notes), notes
+
+
 def test_chunks_of_a_turn_join_by_their_orientations(turned):
     turn = pose_matrix((0, 0, 0, 0.1, 0, 0))
     other = replace(turned, poses=turn @ turned.poses)

@@ -87,7 +87,7 @@ def note_models(export: ExportRequest) -> list[str]:
 
 def note_largest(export: ExportRequest) -> list[str]:
     """Note frames outside the largest piece."""
-    largest = max(map(len, piece_frames(export.sequence, export.chosen)))
+    largest = max(map(len, _pieces_with_positions(export)), default=0)
     missing_count = len(export.chosen) - largest
     return (
         [f"only the largest piece; {_count_text(missing_count)} left out"] if missing_count else []

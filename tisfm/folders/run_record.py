@@ -191,7 +191,7 @@ class RunRecord:
 
 def _insert_error(errors: list[float], pair: Mapping[str, Any]) -> None:
     """Insert the expected error of a pair into sorted errors, if the pair has depth."""
-    if (error := pair.get("depth_error")) is not None:
+    if (error := pair["depth_error"]) is not None:
         insort(errors, error)
 
 
@@ -302,8 +302,8 @@ def _table_row(pair: Mapping[str, Any]) -> Iterator[Any]:
     """Yield the columns of a pair, without its name."""
     yield pair["status"]
     yield pair["message"]
-    yield pair.get("grade")
-    yield pair.get("depth_error")
+    yield pair["grade"]
+    yield pair["depth_error"]
     yield from pair.get("times") or (None, None)
     for key in ("speed", "occluded", "confidence"):
         yield pair.get(key)

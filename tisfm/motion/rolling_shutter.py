@@ -14,8 +14,11 @@ from tisfm.rigid import KnownPose, rigid_motion, rigid_twist
 from tisfm.settings import Settings
 from tisfm.shutter import GlobalShutterMap, interpolation_nodes
 
-# Statuses of an estimate whose motion is good enough to correct the frames.
-MOTION_STATUSES = ("converged", "iteration_limit", "uncertain", "pure_rotation", "little_parallax")
+# Statuses of an estimate whose motion is good enough to correct the frames. The skew of a rolling
+# shutter looks like a zoom or a lens, so it can contradict the camera until it is corrected.
+MOTION_STATUSES = (
+    "converged", "iteration_limit", "uncertain", "contradicted", "pure_rotation", "little_parallax",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

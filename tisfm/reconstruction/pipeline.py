@@ -263,7 +263,8 @@ def solve_path(job: Job, reading: ReadingResult) -> PathResult:
         labels = reading.labels
         if masked := _mask_fixed_pixels(job, reading):
             mask = masked[1]
-            labels = labels and SequenceLabels.of_frames(frames)
+            if labels is not None:
+                labels = SequenceLabels.of_frames(frames)
         if labels is None:
             _label_all_frames(job, reading)
         path = find_static_path(frames, labels, solve_static_path, correct)

@@ -205,11 +205,9 @@ class PairFrames:
         self.statuses: Sequence[Status] = [
             Status(pair["status"], pair["message"]) for _, pair in complete_pairs
         ]
-        self.grades: Sequence[Grade] = [
-            Grade(pair.get("grade", Grade.POOR)) for _, pair in complete_pairs
-        ]
+        self.grades: Sequence[Grade] = [Grade(pair["grade"]) for _, pair in complete_pairs]
         self.depth_errors: Sequence[float] = [
-            math.nan if (error := pair.get("depth_error")) is None else float(error)
+            math.nan if (error := pair["depth_error"]) is None else float(error)
             for _, pair in complete_pairs
         ]
         self.times: Sequence[float | None] = [

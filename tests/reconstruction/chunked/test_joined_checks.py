@@ -1,6 +1,7 @@
 """The joined result has the checks, masks and grades of its chunks; a piece has one verdict."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from tests.reconstruction.films import along
 from tests.reconstruction.test_path_checks import check_of
 from tisfm import PathCheck
 from tisfm.camera_file import write_camera
+from tisfm.reconstruction.chunks.chunk import Span
+from tisfm.reconstruction.chunks.entry import _ErrorReport
 from tisfm.reconstruction.chunks.joining import ChunkResult, place_chunks, write_joined_result
 from tisfm.reconstruction.result.folder import write_mask, write_record
 
@@ -45,6 +48,9 @@ def test_a_wrong_chunk_contradicts_the_whole_piece(tmp_path):
     (check,) = result.checks
     assert [(pair.first, pair.second) for pair in check.pairs] == [(0, 1), (3, 4), (6, 7)]
     assert check.contradicts and check.objections == ("zoom",)
+    assert [part.pairs[0].first for part in check.parts] == [0, 3, 6]
+    later = check.renumbered({k: 2 * k for k in range(9)})
+    assert [part.pairs[0].first for part in later.parts] == [0, 6, 12]
     assert check.message.startswith("a chunk of the frames, 3 to 4: the picture grows")
     assert set(result.status) == {"contradicted"} and set(result.grades) == {"contradicted"}
     assert PathCheck.from_json(check.as_json()) == check
@@ -65,3 +71,20 @@ def test_right_chunks_join_to_a_right_piece(tmp_path):
 def test_a_single_part_is_its_own_check():
     check = check_of(zoom=0.01)
     assert PathCheck.joined([check]) == check
+
+
+def test_each_frame_with_depth_is_reported_once(tmp_path):
+    """Its number is that in the joined result, also if a later chunk is complete first."""
+    chunks = []
+    for number, (start, errors) in enumerate(((10, [np.nan, 0.1, 0.2]), (16, [0.3, 0.4, 0.5]))):
+        chunk = made(tmp_path / f"{number}", count=3)
+        skipped = () if number else ((14, "damaged"),)
+        write_record(chunk.folder, replace(chunk, depth_error=np.array(errors), skipped=skipped))
+        span = Span(start=start, stop=None, count=3 + len(skipped))
+        chunks.append(SimpleNamespace(folder=chunk.folder, span=span))
+    reported = []
+    report = _ErrorReport(chunks, range(10, 22, 2))
+    report.add(1, lambda *pair: reported.append(pair))
+    assert not reported  # the first chunk may have frames that cannot be read
+    report.add(0, lambda *pair: reported.append(pair))
+    assert reported == [(1, 0.1), (2, 0.2), (3, 0.4), (4, 0.5)]

@@ -152,7 +152,7 @@ class PathCheck:
             pairs=tuple(PairEvidence.from_json(pair) for pair in record["pairs"]),
             fixed_share=float(record["fixed_share"]),
             infinity_motion=float(record["infinity_motion"]),
-            parts=tuple(cls.from_json(part) for part in record.get("parts", ())),
+            parts=tuple(cls.from_json(part) for part in record["parts"]),
         )
 
     @classmethod
@@ -174,7 +174,8 @@ class PathCheck:
             replace(pair, first=numbers[pair.first], second=numbers[pair.second])
             for pair in self.pairs
         )
-        return replace(self, pairs=pairs)
+        parts = tuple(part.renumbered(numbers) for part in self.parts)
+        return replace(self, pairs=pairs, parts=parts)
 
     @property
     def zoom(self) -> tuple[float, float]:
