@@ -8,15 +8,24 @@ import numpy as np
 import pytest
 
 import tisfm
+from tisfm.grade import Grade, GradeSummary
 from tisfm.metrics import absolute_errors
+from tisfm.reconstruction.calibration import camera_adjustment
 from tisfm.reconstruction.calibration.camera_adjustment import TrackBundle, adjust_camera
 from tisfm.reconstruction.calibration.source_camera import add_radial
-from tisfm.reconstruction.mapping.solution import FocalEstimate
+from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
+from tisfm.reconstruction.mapping.solution import FocalEstimate, Piece
+from tisfm.reconstruction.path import camera_revision
+from tisfm.reconstruction.path.path_bundle import largest_piece
+from tisfm.reconstruction.path.path_solver import CameraPath, PathSolver
 from tisfm.reconstruction.result.calibration import Calibration
 from tisfm.reconstruction.result.path_check import PathCheck
 from tisfm.reconstruction.result.statuses import mark_contradicted
+from tisfm.reconstruction.result.summary import summarise
+from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracks
 from tisfm.resampling import ZoomRemoval
 from tisfm.scenes import room_film
+from tisfm.sources.frame_reader import SourceFrame
 from tisfm.status import Status
 
 FAST = tisfm.Settings.preset("fast", motion="camera")
@@ -79,6 +88,125 @@ def test_outliers_do_not_matter():
     found = adjust_camera(replace(tracks, positions=positions), FOCAL, ("focal",), has_zoom=True)
     assert found.focal == pytest.approx(FOCAL, rel=0.02)
     assert np.abs(found.zoom).max() < 0.01
+
+
+def test_prior_of_the_zoom_is_part_of_the_cost():
+    """The derivative of the cost is the gradient of the normal equations."""
+    tracks = bundle(np.zeros(8))
+    zoom = 1e-3 * np.array([0, 1, -1, 2, 0.5, 3, -2, 1])
+    state = camera_adjustment._State(
+        poses=tracks.poses, points=tracks.points, common=np.r_[np.log(FOCAL), np.zeros(4)],
+        zoom=zoom, removed_zoom=2e-3 * np.arange(8) ** 2,
+    )  # fmt: skip
+    deviation = camera_adjustment._linearise(tracks, state).weighting_deviation
+
+    def cost(zoom):
+        moved = replace(state, zoom=zoom)
+        linear = camera_adjustment._linearise(tracks, moved)
+        return camera_adjustment._total_cost(tracks, moved, linear, 3.0, deviation)
+
+    step = 1e-6
+    slopes = [(cost(zoom + step * e) - cost(zoom - step * e)) / (2 * step) for e in np.eye(8)]
+    linear = camera_adjustment._linearise(tracks, state)
+    is_free = np.zeros(7 * 8 + 5, bool)
+    is_free[48:56] = True
+    reduced = camera_adjustment._reduce(tracks, state, linear, is_free, 3.0)
+    eliminated = reduced.coupling @ reduced.inverse_points @ reduced.point_gradient
+    np.testing.assert_allclose(
+        slopes, 2 * deviation**2 * (reduced.gradient + eliminated), rtol=1e-4, atol=1e-2
+    )
+
+
+def test_deviations_do_not_depend_on_the_origin_of_the_world():
+    tracks = bundle(0.01 * np.arange(8))
+    shift, turn = np.array([5.0, -3.0, 2.0]), cv2.Rodrigues(np.array([0.3, -0.5, 0.2]))[0]
+    poses = tracks.poses.copy()
+    poses[:, :, :3] = tracks.poses[:, :, :3] @ turn.T
+    poses[:, :, 3] -= poses[:, :, :3] @ shift
+    moved = replace(tracks, poses=poses, points=tracks.points @ turn.T + shift)
+    first, second = (
+        adjust_camera(one, FOCAL, ("focal",), has_zoom=True) for one in (tracks, moved)
+    )
+    for name in ("zoom", "zoom_deviation", "common_deviation"):
+        np.testing.assert_allclose(
+            getattr(first, name), getattr(second, name), rtol=0.02, atol=2e-5
+        )
+
+
+def path_of(*pieces):
+    return CameraPath(pieces=pieces, missing={}, observations=(), camera=tisfm.Camera(focal=FOCAL))
+
+
+def piece_of(frames, *, only_turns=False):
+    poses = {frame: np.eye(4) for frame in frames}
+    views = () if only_turns else tuple(frames)
+    return Piece(poses=poses, views=views, points={}, only_turns=only_turns)
+
+
+def test_camera_is_revised_in_the_largest_piece_with_positions():
+    pan, walk = piece_of(range(12), only_turns=True), piece_of(range(12, 20))
+    assert largest_piece(path_of(pan, walk)) is walk
+
+
+@pytest.mark.parametrize(
+    ("changes", "pieces", "zoom"),
+    [
+        ([0.1, 0.01], [piece_of(range(8))], 0.1),
+        ([0.2, -0.1, 0.05, 0.01], [piece_of(range(8))], 0.15),
+        ([0.2, -0.1, 0.05, -0.02], [piece_of(range(8))], None),  # the rounds do not converge
+        ([0.1, 0.01], [piece_of(range(4)), piece_of(range(4, 8))], None),
+        ([0.1, 0.01], [piece_of(range(4), only_turns=True), piece_of(range(4, 8))], 0.1),
+    ],
+)
+def test_zoom_is_kept_if_it_converges_in_one_piece(monkeypatch, changes, pieces, zoom):
+    path, remaining = path_of(*pieces), iter(changes)
+    for name, answer in (
+        ("_find_remaining_zoom", lambda *_: (None, next(remaining) * (np.arange(8) > 4))),
+        ("unzoom_tracks", lambda tracks, *_: tracks),
+    ):
+        monkeypatch.setattr(camera_revision, name, answer)
+    monkeypatch.setattr(PathSolver, "solve", lambda *_: path)
+    tracks = SequenceTracks(
+        observations=[None] * 8, views=(), matches={}, shape=(180, 240), distinct_count=8
+    )
+    solver = PathSolver(tracks=tracks, camera=path.camera)
+    found = camera_revision._solve_zoom(path, solver, np.arange(8), ())
+    assert (found is None) == (zoom is None)
+    if found is not None:
+        assert found.path.zoom[-1] == pytest.approx(np.exp(zoom)) and found.path.zoom[0] == 1
+
+
+def test_mask_has_the_fixed_pixels_that_all_corrected_frames_ignore(tmp_path):
+    for name in ("cache", "frames"):
+        (tmp_path / name).mkdir()
+    frames = PreparedFrames(tisfm.Camera(focal=80.0), tmp_path / "cache", tmp_path / "frames")
+    picture = np.random.default_rng(0).integers(0, 255, (60, 80), np.uint8)
+    for k in range(3):
+        frames.add(SourceFrame(index=k, name=str(k), time=None, image=picture))
+    band = np.zeros((60, 80), bool)
+    band[44:52] = True
+    frames.ignore(band)
+    mask = frames.correct(frames.camera, None, np.array([1.0, 1.1, 1.2]), band)
+    ignored = np.array([frames.ignored(k) for k in range(3)])
+    # the band of the first frame, where that of the last one or the border lies as well
+    assert mask.any() and (mask <= band).all() and not np.array_equal(mask, band)
+    np.testing.assert_array_equal(mask, ignored.all(axis=0))
+    assert frames.correct(frames.camera) is None
+
+
+@pytest.mark.parametrize("origin", ["given", "estimated"])
+def test_summary_states_the_zoom(origin):
+    message = "200 px; the camera zooms: …" if origin == "given" else "200 ± 2 px, estimated"
+    text = summarise(
+        np.zeros(3, np.int32),
+        np.ones(3, bool),
+        [Status("converged")] * 3,
+        GradeSummary.of([Grade.GOOD] * 3, [0.01] * 3),
+        tisfm.Camera(focal=FOCAL),
+        Calibration(origin=origin, focal=FOCAL, focal_std=2.0, message=message),
+        np.array([1.0, 1.1, 1.2]),
+    )
+    assert text.count("the camera zooms") == 1
 
 
 def test_zoom_is_removed_about_the_principal_point():

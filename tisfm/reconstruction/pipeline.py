@@ -20,7 +20,6 @@ from tisfm.camera_file import write_camera
 from tisfm.errors import InputError
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.grade import depth_error
-from tisfm.lens import Undistortion
 from tisfm.reconstruction.calibration.source_camera import SourceCamera
 from tisfm.reconstruction.causes.cause_search import CauseSearch
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
@@ -135,7 +134,7 @@ class PathResult:
 
     path: CameraPath
     camera: Camera  # camera of the frames of the source, before crop and reduction
-    # (H, W) bool, or None: pixels that are fixed on the sensor, and masked
+    # (H, W) bool, or None: pixels that are fixed on the sensor, and masked in all frames
     fixed_pixels: np.ndarray | None = None
     # (N,) float64: focal length of each frame over that of `camera`; None if it is constant
     zoom: np.ndarray | None = None
@@ -246,18 +245,16 @@ def solve_path(job: Job, reading: ReadingResult) -> PathResult:
             full_camera = replace(
                 full_camera, readout=reading.camera.full_readout(path.rolling.readout)
             )
-        frames.correct(path.camera, path.rolling, path.zoom)
-        if mask is not None and not path.camera.is_pinhole:
-            lens = Undistortion(path.camera, *frames.shape)
-            mask = lens.apply_nearest(mask.astype(np.float32)) > 0
+        mask = frames.correct(path.camera, path.rolling, path.zoom, mask)
 
     def solve_static_path(calibrate: Calibrate | None) -> CameraPath:
         return _track_and_solve(job, reading, calibrate or job.calibrate)
 
     if reading.tracks is not None:
-        path = _solve_or_take_path(job, reading, reading.tracks, job.calibrate)
         if masked := _mask_fixed_pixels(job, reading):
             path, mask = masked
+        else:
+            path = _solve_or_take_path(job, reading, reading.tracks, job.calibrate)
         correct(path)
     else:
         labels = reading.labels

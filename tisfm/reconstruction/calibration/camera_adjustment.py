@@ -191,6 +191,11 @@ class _Linear:
         """Robust standard deviation of a coordinate, px."""
         return MAD_TO_DEVIATION * float(np.median(np.abs(self.residuals)))
 
+    @property
+    def weighting_deviation(self) -> float:
+        """The deviation that weighs residuals against priors, px."""
+        return max(self.deviation, CALIBRATION.min_bundle_deviation)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Reduced:
@@ -286,8 +291,7 @@ def _reduce(
     damping: float = 0.0,
 ) -> _Reduced:
     """Return the normal equations of the camera's side, in units of the residuals' deviation."""
-    deviation = max(linear.deviation, CALIBRATION.min_bundle_deviation)
-    weight = 1 / (1 + (linear.residuals**2).sum(axis=1) / scale**2) / deviation**2
+    weight = 1 / (1 + (linear.residuals**2).sum(axis=1) / scale**2) / linear.weighting_deviation**2
     weighted = linear.by_camera.T @ diags(np.repeat(weight, 2))
     matrix = (weighted @ linear.by_camera).toarray()
     gradient = weighted @ linear.residuals.ravel()
@@ -327,11 +331,13 @@ def _inverse_point_blocks(
 
 
 def _fix_scale(matrix: np.ndarray, poses: np.ndarray) -> None:
-    """Add a term that keeps the scale: the length of the translation of the farthest frame."""
-    lengths = np.linalg.norm(poses[:, :, 3] - poses[:1, :, 3], axis=1)
+    """Add a term that keeps the scale: the distance of the farthest camera from the first one."""
+    # positions of the first camera, in the coordinates of every frame
+    first = poses[:, :, 3] - poses[:, :, :3] @ poses[0, :, :3].T @ poses[0, :, 3]
+    lengths = np.linalg.norm(first, axis=1)
     far = int(np.argmax(lengths))
     along = np.zeros(len(matrix))
-    along[6 * far : 6 * far + 3] = poses[far, :, 3] / max(np.linalg.norm(poses[far, :, 3]), 1e-12)
+    along[6 * far : 6 * far + 3] = first[far] / max(lengths[far], 1e-12)
     matrix += np.outer(along, along) * matrix[6 * far, 6 * far]
 
 
@@ -339,17 +345,33 @@ def _add_zoom_prior(
     matrix: np.ndarray, gradient: np.ndarray, zoom: np.ndarray, frames: Sequence[int]
 ) -> None:
     """Add a prior to normal equations: the zoom per frame hardly changes; jumps weigh less."""
-    count = len(frames)
-    steps = np.diff(np.array(frames, np.float64))
-    change = np.zeros((max(count - 2, 0), count))
-    for k in range(count - 2):
-        change[k, k : k + 3] = 1 / steps[k], -1 / steps[k] - 1 / steps[k + 1], 1 / steps[k + 1]
-    deviation = CALIBRATION.zoom_change
+    count, change, deviation = len(frames), _zoom_differences(frames), CALIBRATION.zoom_change
     weight = 1 / (1 + (change @ zoom / deviation) ** 2) / deviation**2
     weighted = change.T * weight
     part = slice(6 * count, 7 * count)
     matrix[part, part] += weighted @ change
     gradient[part] += weighted @ (change @ zoom)
+
+
+def _zoom_differences(frames: Sequence[int]) -> np.ndarray:
+    """Return a matrix, (F − 2, F): the changes of the zoom per frame, by the zooms of frames."""
+    count, steps = len(frames), np.diff(np.array(frames, np.float64))
+    change = np.zeros((max(count - 2, 0), count))
+    for k in range(count - 2):
+        change[k, k : k + 3] = 1 / steps[k], -1 / steps[k] - 1 / steps[k + 1], 1 / steps[k + 1]
+    return change
+
+
+def _total_cost(
+    bundle: TrackBundle, state: _State, linear: _Linear, scale: float, deviation: float
+) -> float:
+    """Return the cost that a step lowers, px²: of the residuals, and of the prior of the zoom.
+
+    The deviation of a coordinate, px, gives the prior the unit of the residuals.
+    """
+    change = _zoom_differences(bundle.frames) @ (state.zoom + state.removed_zoom)
+    prior = np.log1p((change / CALIBRATION.zoom_change) ** 2).sum()
+    return float(_costs(linear.residuals, scale).sum() + deviation**2 * prior)
 
 
 def _minimise(
@@ -358,19 +380,20 @@ def _minimise(
     """Return the state after damped Gauss–Newton steps (Levenberg and Marquardt)."""
     damping = CALIBRATION.bundle_damping
     linear = _linearise(bundle, state)
-    cost = float(_costs(linear.residuals, scale).sum())
     for _ in range(steps):
+        deviation = linear.weighting_deviation
+        cost = _total_cost(bundle, state, linear, scale, deviation)
         reduced = _reduce(bundle, state, linear, is_free, scale, damping)
         step = np.zeros(len(is_free))
         step[is_free] = -np.linalg.lstsq(reduced.matrix, reduced.gradient, rcond=None)[0]
         candidate = state.moved(step, reduced.point_step(step[is_free]))
         new_linear = _linearise(bundle, candidate)
-        new_cost = float(_costs(new_linear.residuals, scale).sum())
+        new_cost = _total_cost(bundle, candidate, new_linear, scale, deviation)
         if not new_cost < cost:
             damping *= 10
             continue
         is_done = cost - new_cost < CALIBRATION.bundle_tolerance * cost
-        state, linear, cost, damping = candidate, new_linear, new_cost, damping / 10
+        state, linear, damping = candidate, new_linear, damping / 10
         if is_done:
             break
     return state

@@ -19,6 +19,7 @@ from tisfm.reconstruction.result.calibration import (
     GIVEN,
     Calibration,
     describe_focal,
+    describe_zoom,
     read_calibration,
 )
 from tisfm.sources import FrameSource, SourceFrame
@@ -130,9 +131,7 @@ def add_zoom(calibration: Calibration, zoom: np.ndarray) -> Calibration:
     text = calibration.message or f"{focal:.4g} px{at_size(calibration.shape)}"
     return replace(
         calibration,
-        message=f"{text}; the camera zooms: this is the focal length of the first frame, that of "
-        f"the last frame is {focal * zoom[-1]:.4g} px, and the range is {focal * zoom.min():.4g} "
-        f"to {focal * zoom.max():.4g} px",
+        message=f"{text}; {describe_zoom(focal, zoom)}",
     )
 
 

@@ -1,5 +1,6 @@
 """Frames prepared for all stages: grey levels without distortion, stored on disk."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -108,24 +109,38 @@ class PreparedFrames:
         rolling: RollingShutterMotion | None = None,
         # (N,) float64: focal length of each frame over that of the first frame
         zoom: np.ndarray | None = None,
-    ) -> None:
+        # (H, W) bool: pixels that are fixed on the sensor, and ignored
+        fixed: np.ndarray | None = None,
+    ) -> np.ndarray | None:
         """Remove the zoom, the distortion, and then the readout effect, found after reading.
 
         The stored frames are resampled, and written again.
+
+        Returns (H, W) bool: the pixels of the corrected frames that are ignored in every frame, and
+        are fixed on the sensor in at least one frame; None without `fixed`.
         """
         self.camera = camera.pinhole()
-        if zoom is not None:
-            center = self.camera.center_for(*self.shape)
-            for number, factor in enumerate(zoom.tolist()):
-                self._resample(number, ZoomRemoval(factor, center, self.shape))
-        if not camera.is_pinhole and self.count:
-            lens = Undistortion(camera, *self.shape)
-            for number in range(self.count):
-                self._resample(number, lens)
+        has_lens = not camera.is_pinhole and self.count > 0
+        lens = Undistortion(camera, *self.shape) if has_lens else None
+        center = self.camera.center_for(*self.shape)
+        in_all, in_any = np.ones(self.shape, bool), np.zeros(self.shape, bool)
+        for number in range(self.count):
+            steps: list[Resampling] = []
+            if zoom is not None:
+                steps.append(ZoomRemoval(float(zoom[number]), center, self.shape))
+            if lens is not None:
+                steps.append(lens)
+            if rolling is not None and number in rolling.rates:
+                steps.append(GlobalShutterFrameMap(rolling, number, self.shape))
+            for step in steps:
+                self._resample(number, step)
+            if fixed is not None:
+                is_fixed, is_outside = _move_mask(fixed, steps)
+                in_all &= is_fixed | is_outside
+                in_any |= is_fixed
         if rolling is not None:
-            for number in sorted(rolling.rates):
-                self._resample(number, GlobalShutterFrameMap(rolling, number, self.shape))
             self.camera = replace(self.camera, readout=0.0)
+        return None if fixed is None else in_all & in_any
 
     def correct_provisionally(self, rolling: RollingShutterMotion | None) -> None:
         """Remove the readout effect of a first estimate; provisional corrections are undone first.
@@ -156,7 +171,7 @@ class PreparedFrames:
 
     def ignore(self, mask: np.ndarray) -> None:
         """Ignore more pixels, (H, W) bool, in all frames."""
-        self._flow = None
+        self._flow_cache = None
         for number in range(self.count):
             ignored = self.ignored(number)
             ignored = mask if ignored is None else ignored | mask
@@ -284,6 +299,15 @@ class PreparedFrames:
 
     def _picture_path(self, number: int) -> Path:
         return self._pictures / f"{number:06d}.jpg"
+
+
+def _move_mask(mask: np.ndarray, steps: Sequence[Resampling]) -> tuple[np.ndarray, np.ndarray]:
+    """Return a resampled mask, and the pixels outside the frame, both (H, W) bool."""
+    is_outside = np.zeros_like(mask)
+    for step in steps:
+        mask = step.apply_nearest(mask.astype(np.float32)) > 0
+        is_outside = ~step.valid | (step.apply_nearest(is_outside.astype(np.float32)) > 0)
+    return mask, is_outside
 
 
 def _resample_labels(labels: np.ndarray, resampling: Resampling) -> np.ndarray:

@@ -102,7 +102,7 @@ def find_object_path(
         )
     except ValueError:  # the views do not fit together
         return "its tracks do not fit one rigid motion"
-    pieces = [piece for piece in path.pieces if not piece.only_turns]
+    pieces = path.pieces_with_positions
     if not pieces:
         return "its motion gives no depth: it hardly turns or changes its distance, or is not rigid"
     piece = max(pieces, key=lambda piece: len(piece.poses))

@@ -202,8 +202,7 @@ def _set_labels(frames: PreparedFrames, labels: Iterable[np.ndarray]) -> bool:
 def _largest_piece_poses(path: CameraPath, count: int) -> list[np.ndarray | None]:
     """Return the poses of the largest piece, by frame, (4, 4) each; None in other frames."""
     poses: list[np.ndarray | None] = [None] * count
-    pieces = [piece for piece in path.pieces if not piece.only_turns]
-    if pieces:
+    if pieces := path.pieces_with_positions:
         largest = max(pieces, key=lambda piece: len(piece.poses))
         for frame, pose in largest.poses.items():
             poses[frame] = pose

@@ -23,6 +23,7 @@ from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.path.lens_revision import revise_lens
 from tisfm.reconstruction.path.path_bundle import (
     bundle_of,
+    count_views,
     largest_piece,
     posed_count,
     relative_cost,
@@ -46,8 +47,7 @@ def revise_path(
 
     Otherwise the path itself is returned, with an objection if its camera does not fit its tracks.
     """
-    views = len(largest_piece(path).views) if path.pieces else 0
-    if not REVISION.min_views <= views <= SUBMAPS.max_views:
+    if not REVISION.min_views <= count_views(path) <= SUBMAPS.max_views:
         return path
     free = () if solver.calibrate == "nothing" else ("focal",)
     if not (
@@ -96,37 +96,52 @@ class _ZoomedPath:
     """A path of tracks without zoom, and the camera that its tracks were adjusted with."""
 
     path: CameraPath
-    adjusted: AdjustedCamera  # with a zoom that remains in the tracks of the path, nearly 0
+    # with the zoom that remains in the tracks of the path: less than `REVISION.zoom_tolerance`
+    adjusted: AdjustedCamera
 
 
 def _solve_zoom(
     path: CameraPath, solver: PathSolver, instants: np.ndarray, free: Sequence[str]
 ) -> _ZoomedPath | None:
-    """Return the path after the zoom was removed from the tracks; None if there is none.
+    """Return the path after the zoom was removed from the tracks; None if no zoom explains them.
 
-    A path that was solved with a wrong zoom is bent. So the zoom is found in rounds.
+    A path that was solved with a wrong zoom is bent. So the zoom is found in rounds. Several pieces
+    have a zoom each, whose ratio is unknown: such a path keeps its focal length.
     """
-    shape, count = solver.tracks.shape, len(solver.tracks.observations)
-    total = np.zeros(count)
-    for _ in range(REVISION.zoom_rounds):
-        views = list(largest_piece(path).views)
-        adjusted = adjust_camera(
-            bundle_of(path, views, shape),
-            path.camera.focal,
-            free,
-            has_zoom=True,
-            removed_zoom=total[views] - total[views[0]],
-        )
-        change = np.interp(np.arange(count), views, adjusted.zoom)
-        change -= change[0]
-        if np.abs(change).max() < REVISION.zoom_tolerance:
-            break
-        total += change
-        tracks = unzoom_tracks(solver.tracks, total, solver.camera)
-        path = replace(solver, tracks=tracks).solve(instants)
-        if not path.pieces or len(largest_piece(path).views) < REVISION.min_views:
+    total = np.zeros(len(solver.tracks.observations))
+    for solves_left in reversed(range(REVISION.zoom_rounds + 1)):
+        if len(path.pieces_with_positions) != 1 or count_views(path) < REVISION.min_views:
             return None
-    return _ZoomedPath(path=replace(path, zoom=np.exp(total)), adjusted=adjusted)
+        adjusted, change = _find_remaining_zoom(path, free, total, solver.tracks.shape)
+        if np.abs(change).max() < REVISION.zoom_tolerance:
+            return _ZoomedPath(path=replace(path, zoom=np.exp(total)), adjusted=adjusted)
+        if solves_left:
+            total += change
+            tracks = unzoom_tracks(solver.tracks, total, solver.camera)
+            path = replace(solver, tracks=tracks).solve(instants)
+    return None
+
+
+def _find_remaining_zoom(
+    path: CameraPath,
+    free: Sequence[str],  # as for `adjust_camera`
+    removed_zoom: np.ndarray,  # (N,): by frame, logarithm of the zoom that was removed before
+    shape: tuple[int, int],  # height and width of the frames, px
+) -> tuple[AdjustedCamera, np.ndarray]:
+    """Return the camera that the tracks fit, and the logarithm of the zoom of all frames, (N,).
+
+    Frames that are no views of the largest piece have the zoom of the views beside them.
+    """
+    views = list(largest_piece(path).views)
+    adjusted = adjust_camera(
+        bundle_of(path, views, shape),
+        path.camera.focal,
+        free,
+        has_zoom=True,
+        removed_zoom=removed_zoom[views] - removed_zoom[views[0]],
+    )
+    change = np.interp(np.arange(len(removed_zoom)), views, adjusted.zoom)
+    return adjusted, change - change[0]
 
 
 def _shows_zoom(path: CameraPath, zoomed: _ZoomedPath, solver: PathSolver) -> bool:

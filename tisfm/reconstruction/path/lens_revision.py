@@ -19,6 +19,7 @@ from tisfm.reconstruction.calibration.camera_adjustment import (
 from tisfm.reconstruction.mapping.solution import FocalEstimate
 from tisfm.reconstruction.path.path_bundle import (
     bundle_of,
+    count_views,
     largest_piece,
     posed_count,
     relative_cost,
@@ -122,7 +123,7 @@ def _solve_with(
         views=undistort_views(solver.tracks.views, camera, shape),
     )
     path = replace(solver, tracks=tracks).solve(instants)
-    if not path.pieces or len(largest_piece(path).views) < REVISION.min_views:
+    if count_views(path) < REVISION.min_views:
         return None
     if path.focal is not None and not path.focal.is_useful:
         return None
@@ -139,7 +140,7 @@ def _solve_with(
 def _other_focal(solver: PathSolver, instants: np.ndarray) -> AdjustedCamera | None:
     """Return the camera of a path that was solved as if the focal length was unknown."""
     path = replace(solver, calibrate="focal", is_focal_known=False).solve(instants)
-    if not path.pieces or path.focal is None or not path.focal.is_useful:
+    if not path.pieces_with_positions or path.focal is None or not path.focal.is_useful:
         return None
     views = list(largest_piece(path).views)
     return adjust_camera(bundle_of(path, views, solver.tracks.shape), path.camera.focal, ("focal",))

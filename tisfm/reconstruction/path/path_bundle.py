@@ -11,8 +11,13 @@ from tisfm.reconstruction.tracks.tracker import Observations
 
 
 def largest_piece(path: CameraPath) -> Piece:
-    """Return the piece with the most frames."""
-    return max(path.pieces, key=lambda piece: len(piece.poses))
+    """Return the piece with the most frames among those with positions; there is at least one."""
+    return max(path.pieces_with_positions, key=lambda piece: len(piece.poses))
+
+
+def count_views(path: CameraPath) -> int:
+    """Return the number of views of the largest piece; 0 without a piece with positions."""
+    return len(largest_piece(path).views) if path.pieces_with_positions else 0
 
 
 def posed_count(path: CameraPath) -> int:

@@ -60,6 +60,11 @@ class CameraPath:
     # why the camera cannot be right, and what to do; "" if nothing says so
     objection: str = ""
 
+    @property
+    def pieces_with_positions(self) -> list[Piece]:
+        """The pieces in which the camera does more than turn."""
+        return [piece for piece in self.pieces if not piece.only_turns]
+
 
 @dataclass(frozen=True, kw_only=True)
 class PathSolver:

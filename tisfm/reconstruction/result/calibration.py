@@ -5,6 +5,8 @@ import os
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal
 
+import numpy as np
+
 from tisfm.camera_file import camera_file_path, read_camera_record
 from tisfm.errors import InputError
 from tisfm.focal_guess import at_size
@@ -78,6 +80,18 @@ def describe_focal(focal: float, deviation: float, shape: tuple[int, int] | None
     if 0 < deviation < math.inf:
         text += f" ± {float(f'{deviation:.1g}'):g}"  # one significant digit
     return f"{text} px{at_size(shape)}"
+
+
+def describe_zoom(focal: float, zoom: np.ndarray) -> str:
+    """Return a text: the range of a focal length that changes.
+
+    The focal length is that of the first frame, px. `zoom` is (N,), as `Reconstruction.zoom`.
+    """
+    return (
+        "the camera zooms: this is the focal length of the first frame, that of the last frame is "
+        f"{focal * zoom[-1]:.4g} px, and the range is {focal * zoom.min():.4g} to "
+        f"{focal * zoom.max():.4g} px"
+    )
 
 
 def as_json(calibration: Calibration) -> dict[str, Any]:

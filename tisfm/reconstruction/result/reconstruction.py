@@ -245,6 +245,7 @@ class Reconstruction:
             self.grade_summary,
             self.camera,
             self.calibration,
+            self.zoom,
         )
 
     def warning(self, frames: Iterable[int] | None = None) -> str:
@@ -312,7 +313,9 @@ class Reconstruction:
         """Pixels that are fixed on the sensor and were masked, (H, W) bool; None if there are none.
 
         A bonnet, a logo, a caption or a border, found by ``fixed_pixels="mask"`` of
-        `tisfm.reconstruct`. Their depth is filled from the surroundings.
+        `tisfm.reconstruct`. Their depth is filled from the surroundings. If a zoom or a readout
+        effect was removed, such pixels lie elsewhere in every frame of the result: these are the
+        pixels that are masked in all frames.
         """
         return read_mask(self.folder, self.shape)
 

@@ -6,7 +6,11 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.grade import Grade, GradeSummary
-from tisfm.reconstruction.result.calibration import Calibration, describe_focal
+from tisfm.reconstruction.result.calibration import (
+    Calibration,
+    describe_focal,
+    describe_zoom,
+)
 from tisfm.status import Status
 
 
@@ -32,14 +36,18 @@ def summarise(
     grades: GradeSummary,
     camera: Camera,
     calibration: Calibration,
+    zoom: np.ndarray | None,  # as `Reconstruction.zoom`
 ) -> str:
     """Return one paragraph: poses, pieces, focal length, grades, and what to do."""
     sentences = [f"{describe_poses(piece, has_position)}."]
-    focal = describe_focal(
-        calibration.focal or camera.focal, calibration.focal_std, calibration.shape
-    )
+    focal = calibration.focal or camera.focal
+    text = describe_focal(focal, calibration.focal_std, calibration.shape)
     advice = ": pose and depth depend on it" if calibration.origin == "given" else ""
-    sentences.append(f"The focal length is {focal}, {calibration.origin}{advice}.")
+    # the message of a camera that was given says only what the sequence showed
+    has_notable_message = not calibration.seen or calibration.origin == "given"
+    if zoom is not None and not has_notable_message:
+        advice += f"; {describe_zoom(focal, zoom)}"
+    sentences.append(f"The focal length is {text}, {calibration.origin}{advice}.")
     counts = f" ({grades.counts_text})" if len(grades.counts) > 1 else ""
     sentences.append(f"Grade {grades.text}{counts}.")
     for code in dict.fromkeys(str(status) for status in statuses if status != "converged"):
@@ -47,8 +55,7 @@ def summarise(
         message = f": {same[0].message}" if same[0].message else ""
         frames = f"{len(same)} frame{'s' * (len(same) != 1)}"
         sentences.append(f"{code}, {frames}{message}.")
-    # a camera that was given has a message only if the sequence showed more
-    if calibration.message and (not calibration.seen or calibration.origin == "given"):
+    if calibration.message and has_notable_message:
         sentences.append(f"{calibration.message}.")
     return " ".join(" ".join(sentences).replace("..", ".").split())
 
