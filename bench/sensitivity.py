@@ -68,8 +68,17 @@ STAGES = {  # settings objects by the inputs that reach them
     ],
     ("bodies",): [f"{RECONSTRUCTION}.objects.settings.OBJECTS"],
     ("paths",): [
-        f"{RECONSTRUCTION}.path_checks.settings.PATH_CHECKS",
-        f"{RECONSTRUCTION}.result.path_check.LIMITS",
+        "tisfm.grade.GRADES",
+        *(
+            f"{RECONSTRUCTION}.{name}"
+            for name in (
+                "path_checks.settings.PATH_CHECKS",
+                "result.path_check.LIMITS",
+                "path.settings.REVISION",
+                "rotation.settings.ROTATION",
+                "causes.settings.CAUSES",
+            )
+        ),
     ],
 }
 
@@ -237,6 +246,8 @@ def inputs(data: Path | None) -> dict[str, Callable[[], Figures]]:
         frames = [verdict["statuses"].get("contradicted", 0) for verdict in verdicts]
         return {
             "contradicted films": float(np.mean([count > 0 for count in frames])),
+            "green": float(np.mean([verdict["green"] for verdict in verdicts])),
+            "posed": float(np.mean([verdict["posed"] for verdict in verdicts])),
             "masked": float(np.mean([verdict["masked"] for verdict in verdicts])),
         }
 
@@ -326,6 +337,8 @@ def rendered() -> dict[str, Any]:
                 ("street 0", "clean", 0.0),
                 ("room 1", "overlay", 0.3),
                 ("room 0", "zoom", 0.01),
+                ("room 2", "pan", 0.02),
+                ("room 0", "fixed noise", 12.0),
             )
         ],
     }

@@ -1,10 +1,13 @@
 """The benchmark that halves and doubles the settings of a stage."""
 
 import math
+import re
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 
+import tisfm
 from bench import sensitivity
 
 
@@ -18,6 +21,7 @@ class StageSettings:
 
 
 SETTINGS = StageSettings()
+PACKAGE = Path(tisfm.__file__).parent
 PATH = f"{__name__}.SETTINGS"
 
 
@@ -71,6 +75,17 @@ def test_rows_and_report(monkeypatch):
 def test_unknown_settings_are_refused(capsys):
     assert sensitivity.main(["tisfm.reconstruction.NOTHING", "--smoke"]) == 2
     assert "NOTHING" in capsys.readouterr().err
+
+
+def test_every_settings_object_has_an_input():
+    """Settings objects are the capital names of the modules ``settings`` and ``grade``."""
+    objects = set()
+    for file in [*PACKAGE.rglob("settings.py"), PACKAGE / "grade.py"]:
+        module = ".".join(file.relative_to(PACKAGE.parent).with_suffix("").parts)
+        names = re.findall(r"^([A-Z_]+) = \w+Settings\(\)$", file.read_text(), re.MULTILINE)
+        objects |= {f"{module}.{name}" for name in names}
+    assert len(objects) > 20
+    assert objects <= set().union(*sensitivity.STAGES.values())
 
 
 def test_stages_are_grouped_by_the_inputs_that_reach_them():
