@@ -3,8 +3,16 @@
 import numpy as np
 import pytest
 
-from tisfm.motion.camera_doubts import camera_doubt, misfit, misfit_doubt
-from tisfm.motion.epipolar_fit import FreeUnknowns, Rays, refine_pose
+import tisfm
+from tests.rendered import static_scene
+from tisfm.metrics import depth_errors
+from tisfm.motion import camera_doubts as module
+from tisfm.motion.camera_doubts import (
+    find_camera_doubt,
+    find_misfit_doubt,
+    measure_misfit,
+)
+from tisfm.motion.epipolar_fit import FreeUnknowns, Rays, refine_pose, rotation_alone
 from tisfm.rigid import rigid_motion
 
 FOCAL = 200.0
@@ -43,10 +51,14 @@ def rays_of(twist, *, zoom=0.0, distortion=0.0, focal=1.0, noise=0.02, shift=0.0
     return stated, min(fits, key=lambda fit: fit[2])[:2]
 
 
+def doubt_of(rays, pose):
+    return find_camera_doubt(rays, pose, rotation_alone(rays))
+
+
 def test_the_true_camera_is_not_doubted():
     for noise in (0.02, 0.2):
         rays, pose = rays_of(SIDEWAYS, noise=noise)
-        assert camera_doubt(rays, pose) is None and misfit_doubt(rays, pose) is None
+        assert doubt_of(rays, pose) is None and find_misfit_doubt(rays, pose) is None
 
 
 @pytest.mark.parametrize(
@@ -59,18 +71,36 @@ def test_the_true_camera_is_not_doubted():
     ],
 )
 def test_zoom_and_lens_are_named(change, text):
-    doubt = camera_doubt(*rays_of(SIDEWAYS, **change))
+    doubt = doubt_of(*rays_of(SIDEWAYS, **change))
     assert doubt == "contradicted" and text in doubt.message
+
+
+@pytest.mark.parametrize("zoom", [0.001, 0.0015])
+def test_the_more_significant_parameter_is_named(zoom, monkeypatch):
+    monkeypatch.setattr(module, "_depth_change", lambda *arguments: np.inf)
+    assert "a zoom of +" in doubt_of(*rays_of(SIDEWAYS, zoom=zoom)).message
+
+
+def test_a_zoom_that_hardly_changes_depth_is_no_doubt():
+    assert doubt_of(*rays_of(SIDEWAYS, zoom=0.0006)) is None
 
 
 @pytest.mark.parametrize("focal", [0.6, 1.6])
 def test_a_turn_with_a_wrong_focal_length_has_no_depth_to_see(focal):
-    doubt = camera_doubt(*rays_of((0, 0, 0, 0.02, 0.08, 0.01), focal=focal))
+    doubt = doubt_of(*rays_of((0, 0, 0, 0.02, 0.08, 0.01), focal=focal))
     assert doubt == "contradicted" and "may only have turned" in doubt.message
+
+
+def test_a_small_parallax_is_no_turn():
+    scene = static_scene("sideways", 48, 64)
+    settings = tisfm.Settings.preset("fast", motion="camera")
+    result = tisfm.interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=settings)
+    assert result.status != "contradicted"
+    assert depth_errors(result.depth, scene.depth).abs_rel < 0.1
 
 
 def test_regions_off_their_lines():
     rays, pose = rays_of(SIDEWAYS, shift=4.0)
-    doubt = misfit_doubt(rays, pose)
+    doubt = find_misfit_doubt(rays, pose)
     assert doubt == "uncertain" and "regions of the image" in doubt.message
-    assert misfit(rays, pose) > 10 * misfit(*rays_of(SIDEWAYS))
+    assert measure_misfit(rays, pose) > 10 * measure_misfit(*rays_of(SIDEWAYS))

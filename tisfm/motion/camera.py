@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tisfm.motion.camera_doubts import misfit_doubt
+from tisfm.motion.camera_doubts import find_misfit_doubt
 from tisfm.motion.egomotion import sample_rays
 from tisfm.motion.estimate import Estimate, make_depthless_estimate, make_estimate
 from tisfm.motion.first_motion import FirstMotion, first_motion
@@ -64,7 +64,7 @@ def camera_estimate(
         return replace(estimate, fixed_pixels=fixed_pixels)
     if pose is None and not start.uses_matches and start.doubt is None:
         rays = sample_rays(start.flow, start.trust, pyramid.cameras[start.level])
-        start = replace(start, doubt=misfit_doubt(rays, (start.rotation, start.translation)))
+        start = replace(start, doubt=find_misfit_doubt(rays, (start.rotation, start.translation)))
     refine: Refinement = "motion"
     unit = None
     if pose is not None:

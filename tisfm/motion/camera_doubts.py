@@ -1,11 +1,13 @@
 """Whether another camera explains a flow field better: a zoom, a lens, or another focal length."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import cv2
 import numpy as np
 
 from tisfm.motion.epipolar_fit import (
+    MIN_LENGTH,
     MIN_STIFFNESS,
     EpipolarPoints,
     Pose,
@@ -21,43 +23,53 @@ from tisfm.motion.settings import INTRINSICS
 from tisfm.status import Status
 from tisfm.visibility.confidence import median
 
-PARAMETERS = ("zoom", "distortion")
-MAX_DEVIATIONS = 4.0  # deviations of the prior: largest value of a parameter
+Parameter = Literal["zoom", "distortion"]
+PARAMETERS: tuple[Parameter, ...] = ("zoom", "distortion")
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraFit:
     """A parameter of the camera, fitted jointly with a motion."""
 
+    parameter: Parameter
     value: float  # logarithm of the zoom between the frames, or k₁ of both frames
     significance: float  # standard deviations from 0
     residual: float  # px: robust deviation of the distances from epipolar lines
+    pose: Pose  # the motion, ‖t‖ = 1
 
 
-def camera_doubt(
+def find_camera_doubt(
     rays: Rays,  # of a flow field
     pose: Pose,  # the motion that fits the rays best, ‖t‖ = 1
+    rotation: np.ndarray,  # (3, 3): the rotation that fits them best without a translation
 ) -> Status | None:
     """Return a status if the rays contradict the stated camera, else None."""
     sample = rays.subsample(max(1, rays.trust.size // INTRINSICS.max_rays))
     residual = robust_deviation(np.abs(nearest_points(sample, *pose).distance), sample.trust)
-    noise = max(residual, INTRINSICS.min_residual)
-    if turning_residual(sample) < INTRINSICS.max_turn_residual * noise:
+    if _may_only_turn(sample, residual, rotation):
         return Status(
             "contradicted",
             "the camera may only have turned: a turn with another focal length or lens explains "
             "the image motion as well, so depth is probably wrong; give the true camera, with its "
             "distortion, or move the camera between the frames",
         )
-    is_thorough = residual > INTRINSICS.max_quiet_residual
-    zoom, lens = (fit_camera(sample, pose, name, is_thorough) for name in ("zoom", "distortion"))
-    if max(zoom.significance, lens.significance) < INTRINSICS.min_significance:
+    # a noisy flow has a large residual, too, but fits in the mean of a region
+    is_thorough = (
+        residual > INTRINSICS.max_quiet_residual
+        and measure_misfit(rays, pose) > INTRINSICS.max_quiet_misfit
+    )
+    fits = [fit_camera(sample, pose, name, is_thorough=is_thorough) for name in PARAMETERS]
+    fit = max(fits, key=lambda fit: fit.significance)
+    if (
+        fit.significance < INTRINSICS.min_significance
+        or _depth_change(sample, pose, fit) < INTRINSICS.min_depth_change
+    ):
         return None
-    if zoom.residual < lens.residual:
-        text = f"with a zoom of {100 * np.expm1(zoom.value):+.2g} % from frame 0 to frame 1"
+    if fit.parameter == "zoom":
+        text = f"with a zoom of {100 * np.expm1(fit.value):+.2g} % from frame 0 to frame 1"
         advice = "check the focal length, or take frames without a zoom"
     else:
-        text = f"with a radial distortion of k₁ = {lens.value:.2g}"
+        text = f"with a radial distortion of k₁ = {fit.value:.2g}"
         advice = (
             "check the focal length, and give the lens as Camera(distortion=…); "
             'tisfm.reconstruct(calibrate="radial") estimates it from a sequence'
@@ -69,26 +81,30 @@ def camera_doubt(
     )
 
 
-def fit_camera(rays: Rays, pose: Pose, name: str, is_thorough: bool) -> CameraFit:
-    """Fit a motion and one parameter of the camera, "zoom" or "distortion", to rays.
+def fit_camera(rays: Rays, pose: Pose, parameter: Parameter, *, is_thorough: bool) -> CameraFit:
+    """Fit a motion and one parameter of the camera to rays.
 
-    A thorough fit has several starts, because a wrong motion may be a local minimum.
+    A thorough fit has several starts, because a wrong motion may be a local minimum. Other fits end
+    after one iteration if the parameter is not significant.
     """
-    other_start = INTRINSICS.starts[PARAMETERS.index(name)]
+    other_start = getattr(INTRINSICS, f"{parameter}_start")
     starts = (0.0, -other_start, other_start) if is_thorough else (0.0,)
-    fits = [_fit_from(rays, pose, name, start) for start in starts]
+    fits = [_fit_from(rays, pose, parameter, start, may_end=not is_thorough) for start in starts]
     return min(fits, key=lambda fit: fit.residual)
 
 
-def _fit_from(rays: Rays, pose: Pose, name: str, value: float) -> CameraFit:
+def _fit_from(
+    rays: Rays, pose: Pose, parameter: Parameter, value: float, *, may_end: bool
+) -> CameraFit:
     """Fit a motion and a parameter of the camera, which starts from a value."""
     rotation, translation = pose
-    deviation = INTRINSICS.priors[PARAMETERS.index(name)]
-    matrix, scale = np.eye(7), 0.0
+    deviation = getattr(INTRINSICS, f"{parameter}_deviation")
+    largest = INTRINSICS.max_deviations * deviation
+    significance = scale = 0.0
     for _ in range(INTRINSICS.iterations):
-        changed = _change_camera(rays, name, value)
+        changed = _change_camera(rays, parameter, value)
         points = nearest_points(changed, rotation, translation)
-        derivative = _camera_derivative(changed, points, rotation, name)
+        derivative = _camera_derivative(changed, points, rotation, parameter)
         jacobian = np.vstack([distance_jacobian(points, rays.focal), derivative])
         scale = max(robust_deviation(np.abs(points.distance), rays.trust), INTRINSICS.min_residual)
         weight = rays.trust / (1 + (points.distance / (2 * scale)) ** 2) ** 2
@@ -102,17 +118,35 @@ def _fit_from(rays: Rays, pose: Pose, name: str, value: float) -> CameraFit:
         turn = cv2.Rodrigues(step[3:6])[0]
         rotation, translation = turn @ rotation, turn @ translation + step[:3]
         translation = translation / np.linalg.norm(translation)
-        value = float(
-            np.clip(value + step[6], -MAX_DEVIATIONS * deviation, MAX_DEVIATIONS * deviation)
-        )
-    significance = abs(value) / float(np.sqrt(np.linalg.inv(matrix)[6, 6]))
-    return CameraFit(value=value, significance=significance, residual=scale)
+        value = float(np.clip(value + step[6], -largest, largest))
+        significance = abs(value) / float(np.sqrt(np.linalg.inv(matrix)[6, 6]))
+        if may_end and significance < INTRINSICS.min_first_significance:
+            break
+    return CameraFit(
+        parameter=parameter,
+        value=value,
+        significance=significance,
+        residual=scale,
+        pose=(rotation, translation),
+    )
 
 
-def _change_camera(rays: Rays, name: str, value: float) -> Rays:
+def _depth_change(rays: Rays, pose: Pose, fit: CameraFit) -> float:
+    """Return the median relative change of depth, up to scale, by a parameter of the camera."""
+    before = nearest_points(rays, *pose).inverse_depth
+    changed = _change_camera(rays, fit.parameter, fit.value)
+    after = nearest_points(changed, *fit.pose).inverse_depth
+    is_ahead = (before > 0) & (after > 0)
+    if 2 * np.count_nonzero(is_ahead) < len(before):
+        return np.inf
+    ratio = after[is_ahead] / before[is_ahead]
+    return median(np.abs(ratio / median(ratio) - 1))
+
+
+def _change_camera(rays: Rays, parameter: Parameter, value: float) -> Rays:
     """Return rays without a zoom or a distortion."""
     x0, x1 = rays.rays0[:2], rays.rays1
-    if name == "zoom":
+    if parameter == "zoom":
         factor0, factor1 = 1.0, np.exp(-value)
     else:
         factor0, factor1 = (1 - value * (x * x).sum(axis=0) for x in (x0, x1))
@@ -125,13 +159,13 @@ def _change_camera(rays: Rays, name: str, value: float) -> Rays:
 
 
 def _camera_derivative(
-    rays: Rays, points: EpipolarPoints, rotation: np.ndarray, name: str
+    rays: Rays, points: EpipolarPoints, rotation: np.ndarray, parameter: Parameter
 ) -> np.ndarray:
     """Return the negative derivatives of distances by a parameter of the camera, (N,), px."""
     x0, x1 = rays.rays0[:2], rays.rays1
     change0, change1 = (
         (np.zeros_like(x0), x1)
-        if name == "zoom"
+        if parameter == "zoom"
         else (x0 * (x0 * x0).sum(axis=0), x1 * (x1 * x1).sum(axis=0))
     )
     moved = rotation[:, :2] @ change0
@@ -142,14 +176,46 @@ def _camera_derivative(
     )
 
 
-def turning_residual(rays: Rays) -> float:
+def _may_only_turn(rays: Rays, residual: float, rotation: np.ndarray) -> bool:
+    """Return whether a turn of another camera explains the rays nearly as well as a motion."""
+    parallax = rays.focal * median(length(rotation_residual(rays, rotation)))
+    limit = min(
+        INTRINSICS.max_turn_residual * max(residual, INTRINSICS.min_turn_residual),
+        INTRINSICS.max_turn_share * parallax,
+    )
+    return (
+        _polynomial_residual(rays, rotation) < limit
+        and measure_turning_residual(rays, rotation) < limit
+    )
+
+
+def _polynomial_residual(rays: Rays, rotation: np.ndarray) -> float:
+    """Return the residual of a flow that is a polynomial of the position, px.
+
+    Turns of any camera are nearly such polynomials, so a turn can hardly leave less.
+    """
+    residual = rays.focal * rotation_residual(rays, rotation)
+    x, y = rays.rays0[:2] / max(float(np.abs(rays.rays0[:2]).max()), MIN_LENGTH)
+    degree = INTRINSICS.turn_degree
+    terms = np.stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)])
+    weighted = terms * rays.trust
+    matrix = weighted @ terms.T
+    matrix += MIN_STIFFNESS * np.trace(matrix) * np.eye(len(terms))
+    rest = residual - np.linalg.solve(matrix, weighted @ residual.T).T @ terms
+    return robust_deviation(length(rest), rays.trust) / float(np.sqrt(2))
+
+
+def measure_turning_residual(
+    rays: Rays,
+    rotation: np.ndarray,  # (3, 3): where the fit starts
+) -> float:
     """Return the residual of a turn with any focal length and distortion, px.
 
     It is the robust deviation of the displacements that the turn leaves, of one component.
     """
-    rotation, parameters = np.eye(3), np.zeros(2)  # logarithm of the focal length, and k₁
+    parameters = np.zeros(2)  # logarithm of the focal length, and k₁
     square0, square1 = ((x * x).sum(axis=0) for x in (rays.rays0[:2], rays.rays1))
-    distance = np.zeros(rays.trust.size)
+    found = np.inf
     for _ in range(INTRINSICS.turn_iterations):
         focal, distortion = parameters
         scale0, scale1 = (
@@ -160,8 +226,10 @@ def turning_residual(rays: Rays) -> float:
         nearness = 1 / rotated[2]
         x, y = rotated[:2] * nearness
         residual = changed1 - rotated[:2] * nearness
-        distance = rays.focal * length(residual)
-        noise = max(median(distance), INTRINSICS.min_residual)
+        # px of the stated camera
+        distance = rays.focal * np.exp(focal) * length(residual)
+        found = min(found, robust_deviation(distance, rays.trust) / float(np.sqrt(2)))
+        noise = max(median(distance), INTRINSICS.min_turn_residual)
         weight = rays.trust / (1 + (distance / (2 * noise)) ** 2) ** 2
         # derivatives of `residual`, negated
         turned = rotation[:, :2] @ changed0
@@ -174,25 +242,26 @@ def turning_residual(rays: Rays) -> float:
         jacobian = np.stack([*by_rotation, by_focal, by_lens]).reshape(5, -1)
         weights = np.tile(weight, 2)
         matrix = (jacobian * weights) @ jacobian.T
-        prior = np.array([0, 0, 0, *(1 / np.square(INTRINSICS.turn_priors))])
+        prior = np.array([0, 0, 0, *(1 / np.square(INTRINSICS.turn_deviations))])
         prior *= weight.sum() / INTRINSICS.independent_rays * (noise / rays.focal) ** 2
         matrix += np.diag(prior) + MIN_STIFFNESS * np.trace(matrix) * np.eye(5)
         gradient = jacobian @ (weights * residual.ravel())
         gradient[3:] -= prior[3:] * parameters
         step = np.linalg.solve(matrix, gradient)
         rotation = cv2.Rodrigues(step[:3])[0] @ rotation
-        parameters = np.clip(parameters + step[3:], -1, 1)
+        largest = INTRINSICS.max_turn_parameter
+        parameters = np.clip(parameters + step[3:], -largest, largest)
         if np.linalg.norm(step) < INTRINSICS.min_turn_step:
             break
-    return robust_deviation(distance, rays.trust) / float(np.sqrt(2))
+    return found
 
 
-def misfit_doubt(
+def find_misfit_doubt(
     rays: Rays,  # of a flow field
     pose: Pose,  # the motion that fits the rays best, ‖t‖ = 1
 ) -> Status | None:
     """Return a status if whole regions move off the epipolar lines of a motion, else None."""
-    share = misfit(rays, pose)
+    share = measure_misfit(rays, pose)
     if share < INTRINSICS.max_misfit:
         return None
     return Status(
@@ -203,7 +272,7 @@ def misfit_doubt(
     )
 
 
-def misfit(rays: Rays, pose: Pose) -> float:
+def measure_misfit(rays: Rays, pose: Pose) -> float:
     """Return the upper quartile over regions of the distance from epipolar lines over parallax.
 
     Noise averages out in a region. A wrong camera, a moving object and a wrong flow do not.
@@ -225,4 +294,4 @@ def misfit(rays: Rays, pose: Pose) -> float:
         return 0.0
     least = INTRINSICS.min_parallax * total[is_known]
     ratio = np.abs(distances[is_known]) / np.maximum(parallaxes[is_known], least)
-    return float(np.percentile(ratio, 75))
+    return float(np.percentile(ratio, INTRINSICS.misfit_percentile))

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tisfm.motion.camera_doubts import camera_doubt
+from tisfm.motion.camera_doubts import find_camera_doubt
 from tisfm.motion.depth_checks import pose_status
 from tisfm.motion.egomotion import (
     CameraMotion,
@@ -176,7 +176,8 @@ def first_motion(
     if pose is None and status is None:
         rays = sample_rays(start.flow, start.trust, camera)
         plane = plane_status(rays, fit.residual)
-        doubt = camera_doubt(rays, (fit.rotation, fit.translation)) or plane or doubt
+        camera_doubt = find_camera_doubt(rays, (fit.rotation, fit.translation), fit.rotation_alone)
+        doubt = camera_doubt or plane or doubt
     return replace(motion, rotation=fit.rotation, translation=fit.translation, doubt=doubt)
 
 

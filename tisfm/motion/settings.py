@@ -429,23 +429,41 @@ class IntrinsicsSettings:
     independent_rays: int = 30  # rays with independent errors; neighbours share errors of the flow
     min_residual: float = 0.02  # px of the level: smaller residuals are equally good
     iterations: int = 4  # iterations of a fit
-    # px of the level: a larger residual shows a wrong motion, so a fit has several starts
+    # standard deviations: a parameter below this after the first iteration is left out
+    min_first_significance: float = 1.0
+    # px of the level, and distance over parallax in regions: a larger residual and misfit show a
+    # wrong motion, so a fit has several starts
     max_quiet_residual: float = 0.03
-    # logarithm of the zoom, and k₁: other values from which fits start, and standard deviations of
-    # the priors
-    starts: tuple[float, float] = (0.03, 0.2)
-    priors: tuple[float, float] = (0.05, 0.3)
+    max_quiet_misfit: float = 0.03
+    # logarithm of the zoom, and k₁: other values from which fits start
+    zoom_start: float = 0.03
+    distortion_start: float = 0.2
+    # standard deviations of the priors of both, and the largest value in these deviations
+    zoom_deviation: float = 0.05
+    distortion_deviation: float = 0.3
+    max_deviations: float = 4.0
     # standard deviations of a zoom or a distortion; at most 1.3 for the right camera
     min_significance: float = 2.5
+    # median relative change of depth by this parameter that matters, as for a good grade
+    min_depth_change: float = 0.03
     turn_iterations: int = 8  # iterations of the fit of a turn
     min_turn_step: float = 1e-4  # rad, and in both parameters: a shorter step ends this fit
-    # standard deviations of the logarithm of the focal length and of k₁ in this fit
-    turn_priors: tuple[float, float] = (0.5, 0.3)
-    # residual of a turn with any camera divided by that of the motion: at most 1.3 for turns, 2.8
+    turn_degree: int = 3  # degree of the polynomials that turns are nearly
+    # standard deviations of the logarithm of the focal length and of k₁ in this fit, and their
+    # largest value
+    turn_deviations: tuple[float, float] = (0.5, 0.3)
+    max_turn_parameter: float = 1.0
+    # residual of a turn with any camera divided by that of the motion: at most 1.7 for turns, 4.1
     # and more if the camera moved
-    max_turn_residual: float = 2.0
+    max_turn_residual: float = 2.5
+    min_turn_residual: float = (
+        0.01  # px of the level: smaller residuals of the motion count as this
+    )
+    # residual of this turn divided by the parallax that the stated camera needs
+    max_turn_share: float = 0.35
     # misfit
     regions: int = 10  # regions along the longer side
+    misfit_percentile: int = 75  # percentile of regions that is judged
     min_rays_of_region: int = 8  # rays of a region that is judged
     min_parallax: float = 0.05  # px of the level: smaller parallax of a region counts as this
     # distance from epipolar lines divided by parallax: at most 0.032 on rendered scenes
