@@ -25,8 +25,7 @@ from tisfm.frames import MIN_SIDE
 from tisfm.settings import Settings
 from tisfm.status import History, Status
 
-FORMAT = 7  # increased whenever a reader of the previous format would misread a file
-_READABLE_FORMATS = (6, FORMAT)  # formats that can be read; format 6 had no packed arrays
+FORMAT = 8  # increased with every change of the entries; earlier files are refused
 _MAX_PIXELS = 2**24  # pixels of a packed frame, unless the file has more bytes than this
 _MAX_ABOUT_BYTES = 2**20  # bytes of the entry "about", which usually has a thousandth of that
 _MAX_HALF = 65504.0  # largest number of float16
@@ -253,16 +252,11 @@ def _read_about(file: NpzFile) -> dict[str, Any]:
         raise InputError("about is nested too deeply") from error
     if not isinstance(about, dict):
         raise InputError(f"about is {about!r}, expected an object of JSON")
-    if "format" in about and (
-        about["format"] not in _READABLE_FORMATS or type(about["format"]) is not int
-    ):
+    if "format" in about and (about["format"] != FORMAT or type(about["format"]) is not int):
         raise InputError(
-            f"its format is {about['format']!r} and this version reads {_READABLE_FORMATS[0]} to "
-            f"{FORMAT}: tisfm {about.get('version')} wrote it; compute the interpretation again"
+            f"its format is {about['format']!r} and this version reads format {FORMAT}: tisfm "
+            f"{about.get('version')} wrote it; compute the interpretation again"
         )
-    if about.get("format") == _READABLE_FORMATS[0]:
-        about = {"packed": {}} | about
-    about = {"focal_deviation": 0.0} | about  # earlier versions did not state it
     _check_names("about", about, _ABOUT_ENTRIES)
     for name in ("version", "status", "message"):
         if not isinstance(about[name], str):
@@ -277,8 +271,6 @@ def _read_about(file: NpzFile) -> dict[str, Any]:
 
 def _read_camera(about: Any) -> Camera:
     """Return the camera; raise ValueError if an entry is missing or wrong."""
-    if isinstance(about, dict):
-        about = {"readout": None} | about  # earlier versions had no readout
     _check_names("its camera", about, [part.name for part in fields(Camera)])
     try:
         return Camera(**about)

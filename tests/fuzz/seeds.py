@@ -156,6 +156,7 @@ def interpretations():
         inverse_depth_std=np.ones((H, W), np.float32),
         motions=np.ones((1, 6)),
         labels=np.zeros((H, W), np.int32),
+        focal_deviation=np.inf,
     )
     return [
         written(_save, Interpretation(**shared, **own, settings=Settings(motion=motion)), compact)

@@ -109,13 +109,6 @@ def test_a_diverged_result_is_unchanged(result, tmp_path, value):
     assert about_of(tmp_path / "x.npz")["packed"] == {}
 
 
-def test_files_of_the_format_before_are_read(result, saved):
-    known = about_of(saved)
-    assert known.pop("packed") == {}
-    rewritten(saved, about=np.array(json.dumps(known | {"format": 6})))
-    np.testing.assert_array_equal(Interpretation.load(saved).flow, result.flow)
-
-
 # What is refused
 
 

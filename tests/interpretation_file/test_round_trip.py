@@ -7,8 +7,6 @@ import pytest
 
 import tisfm
 from tests.interpretation_file.stored import (
-    about,
-    about_of,
     entries_of,
     half_precision,
     rigid_result,
@@ -221,12 +219,3 @@ def test_invalid_results_are_not_written(result, tmp_path, changes, words):
     with pytest.raises(ValueError, match=words):
         dataclasses.replace(result, **changes).save(tmp_path / "result.npz")
     assert not list(tmp_path.iterdir())
-
-
-def test_files_from_before_cameras_had_a_readout_are_read(tmp_path):
-    result = rigid_result()
-    result.save(tmp_path / "result.npz")
-    camera = about_of(tmp_path / "result.npz")["camera"]
-    assert camera.pop("readout", 0) is None
-    about(tmp_path / "result.npz", camera=camera)
-    assert Interpretation.load(tmp_path / "result.npz").camera == result.camera
