@@ -104,6 +104,8 @@ def test_summary_of_grades():
     )
     assert summary.counts_text == "1 good, 2 fair, 1 no pose"
     assert GradeSummary.of(grades[3:]).text == "no pose"
+    two = GradeSummary.of([tisfm.Grade.GOOD, tisfm.Grade.FAIR], [0.02, 0.05])
+    assert (two.median, two.median_error) == ("fair", 0.05)  # the later one of two in the middle
 
 
 def test_a_pair_with_a_guessed_focal_length_is_poor(tmp_path):

@@ -4,10 +4,13 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from typing import TypeVar
 
 import numpy as np
 
 from tisfm.status import Status
+
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,6 +137,16 @@ def grade_depth(status: Status, error: float) -> Grade:
     return Grade.GOOD if error <= GRADES.max_good else Grade.FAIR
 
 
+def upper_median(ordered: Sequence[Value]) -> Value:
+    """Return the middle of a sorted sequence with at least one value; of two, the later one.
+
+    Grades and errors are sorted from the best to the worst. So this median of grades is a grade
+    that occurs, and no median is better than half of the frames. All medians of grades and of
+    expected errors follow this rule.
+    """
+    return ordered[len(ordered) // 2]
+
+
 @dataclass(frozen=True, kw_only=True)
 class GradeSummary:
     """The grades of a result, the median and the worst."""
@@ -150,17 +163,17 @@ class GradeSummary:
     def of(cls, grades: Sequence[Grade], errors: Sequence[float] | None = None) -> "GradeSummary":
         """Return the summary of grades and expected errors, one for each frame; at least one."""
         ordered = sorted(grades, key=lambda grade: grade.rank)
-        known_errors = [
+        known_errors = sorted(
             error
             for grade, error in zip(grades, errors or [np.nan] * len(grades), strict=True)
             if grade != Grade.CONTRADICTED and not np.isnan(error)
-        ]
+        )
         return cls(
             counts=Counter(ordered),
-            median=ordered[len(ordered) // 2],
+            median=upper_median(ordered),
             worst=ordered[-1],
-            median_error=float(np.median(known_errors)) if known_errors else float("nan"),
-            worst_error=max(known_errors, default=float("nan")),
+            median_error=upper_median(known_errors) if known_errors else float("nan"),
+            worst_error=known_errors[-1] if known_errors else float("nan"),
         )
 
     @property
@@ -183,6 +196,21 @@ class GradeSummary:
     def counts_text(self) -> str:
         """The number of frames of each grade, the best first, in words."""
         return ", ".join(f"{count} {grade}" for grade, count in self.counts.items())
+
+
+def summarise_grades(
+    grades: Sequence[Grade],
+    statuses: Sequence[str],
+    errors: Sequence[float],  # expected relative errors of depth; NaN where unknown
+) -> GradeSummary:
+    """Return the summary of the grades of frames or pairs; at least one.
+
+    Frames whose depth was not requested do not count if other frames have depth.
+    """
+    chosen = list(range(len(grades)))
+    if not np.isnan(np.asarray(errors)).all():
+        chosen = [k for k in chosen if grades[k] != Grade.NO_DEPTH or statuses[k] != "converged"]
+    return GradeSummary.of([grades[k] for k in chosen], [errors[k] for k in chosen])
 
 
 def warn_of_grades(

@@ -12,6 +12,7 @@ from tests.pairwise import pairwise
 from tests.rendered import room, static_scene, three_blocks, two_blocks
 from tisfm.camera import Camera
 from tisfm.frames import grey_pair
+from tisfm.grade import GRADES, depth_error, grade_depth
 from tisfm.metrics import depth_errors
 from tisfm.motion import first_motion as first_motion_module
 from tisfm.motion.depth_checks import depth_status
@@ -20,6 +21,7 @@ from tisfm.motion.problems import pyramid_of
 from tisfm.motion.settings import CHECKS
 from tisfm.rigid import pose_matrix, rigid_motion
 from tisfm.scenes import Plane, Scene, Texture
+from tisfm.status import Status
 from tisfm.visibility.confidence import CONFIDENCE_WINDOW
 
 SIZE = (120, 160)
@@ -207,21 +209,23 @@ def test_a_part_whose_deviation_is_large(scene, factor, code):
 
 
 def test_distant_points_are_not_uncertain(scene):
-    """At great distance, inverse depth is small, so a large relative deviation is allowed."""
+    """Where less than half is far away, its large relative deviation is allowed."""
     inverse_depth = 1 / scene.depth
     usual = float(np.median(inverse_depth))
-    inverse_depth[:60] = 0.01 * usual
+    inverse_depth[:45] = 0.01 * usual
     assert judged(scene, inverse_depth=inverse_depth, deviation=0.05 * usual) is None
     assert judged(scene, inverse_depth=inverse_depth, deviation=0.6 * usual) == "uncertain"
 
 
 @pytest.mark.parametrize(("factor", "code"), [(0.9, None), (1.1, "uncertain")])
 def test_depth_that_is_expected_to_be_off(scene, factor, code):
-    usual = float(np.median(1 / scene.depth))
-    deviation = factor * CHECKS.max_expected_error / CHECKS.median_ratio
-    far = np.minimum(1 / scene.depth, usual)  # relative deviations count from the median on
-    found = judged(scene, inverse_depth=far, deviation=deviation * usual)
+    """The limit is that of the grade."""
+    deviation = np.where(scene.visible, 1 / scene.depth, np.inf) / GRADES.median_ratio
+    deviation *= factor * GRADES.max_fair
+    found = judged(scene, deviation=deviation)
     assert found == code and (code is None or "half of the depth" in found.message)
+    error, _ = depth_error(1 / scene.depth, deviation)
+    assert (grade_depth(Status("converged"), error) == "poor") == (code == "uncertain")
 
 
 def test_the_truth_explains_the_frames(scene):

@@ -8,13 +8,16 @@ import pytest
 
 import tisfm
 from tests.exports.made import made
+from tisfm.cli.batch import _median_grade
 from tisfm.formats import FormatError
-from tisfm.grade import GRADES, Grade
+from tisfm.grade import GRADES, Grade, summarise_grades
 from tisfm.reconstruction.result.calibration import Calibration
 from tisfm.reconstruction.result.folder import RECORD
 from tisfm.reconstruction.result.statuses import add_piece_note, mark_uncertain
-from tisfm.reconstruction.result.summary import summarise_grades
+from tisfm.report.reconstruction_report import _report
+from tisfm.results.sequence_frames import SequenceFrames
 from tisfm.status import Status
+from tisfm.view.static_page import _caption
 
 
 def test_grades_of_frames(tmp_path):
@@ -78,3 +81,18 @@ def test_frames_without_requested_depth_count_if_no_frame_has_depth():
         Grade.GOOD: 1,
         Grade.NO_POSE: 1,
     }
+
+
+def test_report_page_batch_and_command_state_one_grade(tmp_path):
+    """Depth was requested of frame 0 alone."""
+    result = made(tmp_path / "made", count=3, with_depth=[0])
+    result = replace(result, depth_error=np.array([0.05, np.nan, np.nan]))
+    result.save(tmp_path / "saved")
+    result = tisfm.Reconstruction.load(tmp_path / "saved")
+    text = result.grade_summary.text
+    assert text.startswith("fair; depth")
+    assert _caption(SequenceFrames(result), 3, []).endswith(f"Grade {text}")
+    report = _report(result, result.folder, None)
+    assert ("Grade", text) in report.summary
+    assert [row[:2] for row in report.grades] == [("fair", 1)]
+    assert _median_grade(result.folder) == "fair" and _median_grade(tmp_path / "none") is None

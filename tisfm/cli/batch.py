@@ -2,7 +2,6 @@
 
 import csv
 import os
-import re
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +15,10 @@ from tisfm.cli.console import tell_grade
 from tisfm.cli.parsing import WrongOptionError
 from tisfm.cli.progress import TimeEstimate, progress_bar
 from tisfm.errors import InputError
+from tisfm.folders.run_record import read_record, summarise_pairs
 from tisfm.grade import Grade, GradeSummary
+from tisfm.reconstruction.result.folder import RECORD as RECONSTRUCTION
+from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.running.commands import CommandProcesses
 from tisfm.threads import usable_cores
 
@@ -143,7 +145,7 @@ def batch(options: Batch) -> int:
             message = outcome.message or f"exit code {outcome.exit_code}"
             for line in (message, *outcome.notes):
                 tell_grade(f"{job.output}: {line}")
-            if (grade := _median_grade(message)) is not None:
+            if outcome.exit_code == 0 and (grade := _median_grade(Path(job.output))) is not None:
                 grades.append(grade)
             progress.update(task, advance=1, description=f"{path.name}{_grades_text(grades)}")
     count = len(jobs) - failed_count
@@ -152,10 +154,16 @@ def batch(options: Batch) -> int:
     return 1 if failed_count else 0
 
 
-def _median_grade(message: str) -> Grade | None:
-    """Return the median grade of a result, from the closing line of its command."""
-    found = re.search(rf"Grade ({'|'.join(Grade)})", message)
-    return Grade(found.group(1)) if found else None
+def _median_grade(folder: Path) -> Grade | None:
+    """Return the median grade of the result in a folder; None if there is none."""
+    try:
+        if (folder / RECONSTRUCTION).is_file():
+            return Reconstruction.load(folder).median_grade
+        record = read_record(folder)
+        summary = summarise_pairs(record["pairs"].values()) if record is not None else None
+    except (OSError, LookupError, ValueError):  # another command replaces or removes the result
+        return None
+    return None if summary is None else summary.median
 
 
 def _grades_text(grades: Sequence[Grade]) -> str:

@@ -26,7 +26,7 @@ from tisfm.cli.console import tell
 from tisfm.folders.files import TIMINGS
 from tisfm.formats import atomic_write
 from tisfm.formats.csv_table import csv_table
-from tisfm.grade import percent
+from tisfm.grade import percent, upper_median
 from tisfm.machine.text import as_duration, as_size, printable
 from tisfm.reconstruction.progress import Stage
 from tisfm.running.pair_writer import PairWriter
@@ -96,7 +96,7 @@ class RunningErrors:
         """The median in words; "" without errors."""
         if not self._errors:
             return ""
-        return f"off by {percent(self._errors[len(self._errors) // 2])}"
+        return f"off by {percent(upper_median(self._errors))}"
 
 
 def progress_bar() -> Progress:

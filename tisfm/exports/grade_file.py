@@ -27,10 +27,8 @@ def write_grades(frames: ResultFrames, folder: Path, chosen: Sequence[int]) -> s
         if path.is_file() and path.read_bytes().startswith(_HEADING.encode()):
             path.unlink()
         return ""
-    summary = GradeSummary.of(
-        [frames.grades[k] for k in chosen], [frames.depth_errors[k] for k in chosen]
-    )
-    lines = [_HEADING, f"# {' '.join(warning.split())}", f"# {summary.counts_text}"]
+    counts = GradeSummary.of([frames.grades[k] for k in chosen]).counts_text
+    lines = [_HEADING, f"# {' '.join(warning.split())}", f"# {counts}"]
     lines.append("# frame; grade; expected relative error of depth; name")
     for frame in chosen:
         error = frames.depth_errors[frame]

@@ -4,7 +4,7 @@ import json
 import math
 import os
 import time
-from bisect import insort
+from bisect import bisect_left, insort
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -15,7 +15,7 @@ from tisfm.folders.files import TIMINGS, compare_records, file_checksum, summari
 from tisfm.formats import atomic_write
 from tisfm.formats.csv_table import csv_table
 from tisfm.formats.reading import FormatError
-from tisfm.grade import Grade
+from tisfm.grade import Grade, GradeSummary, summarise_grades
 from tisfm.status import Status
 from tisfm.trajectory.times import time_fault
 
@@ -66,7 +66,8 @@ class RunRecord:
     statuses : Counter
         Number of finished pairs by status code.
     errors : list of float
-        Expected relative errors of the depth of finished pairs, in rising order.
+        Expected relative errors of the depth of finished pairs that nothing contradicts, in rising
+        order.
     seconds : dict of str to float
         Times of the pairs that this command interpreted, s, by their names.
     """
@@ -136,6 +137,11 @@ class RunRecord:
         for pair in self.pairs.values():
             _insert_error(self.errors, pair)
 
+    @property
+    def grade_summary(self) -> GradeSummary | None:
+        """The grades of finished pairs, the median and the worst; None without pairs."""
+        return summarise_pairs(list(self.pairs.values()))
+
     def is_complete(self, name: str, digest: str, endings: Collection[str]) -> bool:
         """Return whether a pair has an entry and its files are unchanged (`is_unchanged`)."""
         pair = self.pairs.get(name)
@@ -149,8 +155,9 @@ class RunRecord:
         self._record["pairs"][name] = {**entry, "files": dict(files)}
         self.statuses[entry["status"]] += 1
         _insert_error(self.errors, entry)
-        if earlier is not None:
+        if earlier is not None:  # a pair whose files were damaged is finished again
             self.statuses[earlier["status"]] -= 1
+            _remove_error(self.errors, earlier)
         self._is_written = False
         if time.monotonic() > self._next_write:
             self.write()
@@ -189,10 +196,32 @@ class RunRecord:
         self._next_write = end + max(_MIN_WRITE_INTERVAL, _MIN_INTERVAL_RATIO * (end - begin))
 
 
+def _known_error(pair: Mapping[str, Any]) -> float | None:
+    """Return the expected error of a pair; None without depth, or if the depth is contradicted."""
+    return None if pair["grade"] == Grade.CONTRADICTED else pair["depth_error"]
+
+
 def _insert_error(errors: list[float], pair: Mapping[str, Any]) -> None:
-    """Insert the expected error of a pair into sorted errors, if the pair has depth."""
-    if (error := pair["depth_error"]) is not None:
+    """Insert the expected error of a pair into sorted errors, if it is known."""
+    if (error := _known_error(pair)) is not None:
         insort(errors, error)
+
+
+def _remove_error(errors: list[float], pair: Mapping[str, Any]) -> None:
+    """Remove the expected error of a pair from sorted errors, if it is known."""
+    if (error := _known_error(pair)) is not None:
+        del errors[bisect_left(errors, error)]
+
+
+def summarise_pairs(pairs: Collection[Mapping[str, Any]]) -> GradeSummary | None:
+    """Return the summary of the grades of pairs, from their entries; None without pairs."""
+    if not pairs:
+        return None
+    return summarise_grades(
+        [Grade(pair["grade"]) for pair in pairs],
+        [pair["status"] for pair in pairs],
+        [math.nan if (error := pair["depth_error"]) is None else error for pair in pairs],
+    )
 
 
 def refuse_other_format(

@@ -3,5 +3,5 @@
 Here: ``"field"``, ``"camera"`` and, in `tisfm.motion.objects`, ``"objects"``; first motions,
 egomotion, plane sweeps, depth under rigid motions, checks of frames and poses, rolling shutters.
 May import: `tisfm.solver`, `tisfm.visibility`, `tisfm.kernels`, and of the top level `camera`,
-`checks`, `rigid`, `runtime`, `settings`, `shutter`, `status` and `threads`.
+`checks`, `grade`, `rigid`, `runtime`, `settings`, `shutter`, `status` and `threads`.
 """

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 
+from tisfm.grade import GRADES, depth_error, percent
 from tisfm.motion.estimate import Estimate
 from tisfm.motion.settings import CHECKS
 from tisfm.motion.window_statistics import correlation, texture
@@ -64,8 +65,20 @@ def _behind_status(estimate: Estimate, visible: np.ndarray) -> Status | None:
 
 
 def _uncertain_status(estimate: Estimate, visible: np.ndarray) -> Status | None:
-    """Return the status of depth with a large deviation at many pixels, None for others."""
+    """Return the status of depth with a large deviation at many pixels, None for others.
+
+    The expected error is that of the grade, for the given focal length.
+    """
     assert estimate.inverse_depth_std is not None
+    deviation = np.where(visible, estimate.inverse_depth_std, np.float32(np.inf))
+    expected_error, _ = depth_error(estimate.inverse_depth, deviation)
+    if expected_error > GRADES.max_fair:
+        return Status(
+            "uncertain",
+            f"half of the depth is expected to be off by more than {percent(expected_error)}: "
+            "take frames farther apart, or move the camera sideways; result.inverse_depth_std "
+            "tells where depth is reliable",
+        )
     sample = np.s_[::SAMPLE_STEP, ::SAMPLE_STEP]
     visible = visible[sample]
     if not visible.any():
@@ -74,14 +87,6 @@ def _uncertain_status(estimate: Estimate, visible: np.ndarray) -> Status | None:
     deviation = estimate.inverse_depth_std[sample][visible]
     median_depth = median(np.abs(inverse_depth))
     relative_deviation = deviation / np.maximum(inverse_depth, median_depth)
-    expected_error = CHECKS.median_ratio * median(relative_deviation)
-    if expected_error > CHECKS.max_expected_error:
-        return Status(
-            "uncertain",
-            f"half of the depth is expected to be off by more than {100 * expected_error:.0f}%: "
-            "take frames farther apart, or move the camera sideways; result.inverse_depth_std "
-            "tells where depth is reliable",
-        )
     share = (relative_deviation > np.float32(CHECKS.max_relative_deviation)).mean()
     if share <= CHECKS.max_uncertain_share:
         return None

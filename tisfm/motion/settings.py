@@ -385,10 +385,6 @@ class CheckSettings:
     max_uncertain_share: float = 0.05
     # standard deviation of uncertain inverse depth, divided by this inverse depth and by the median
     max_relative_deviation: float = 0.5
-    # expected relative error of the depth: median error of a normal distribution in deviations,
-    # times the median relative deviation. Above it, a grade is poor (`tisfm.grade`).
-    max_expected_error: float = 0.1
-    median_ratio: float = 0.6745
     # a pixel of a coarser level is visible if a smaller share of its area is hidden
     max_hidden_share: float = 0.3
     min_brightness_ratio: float = 1.15  # ratio of mean brightness, if the light may have changed

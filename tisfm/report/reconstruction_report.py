@@ -79,7 +79,7 @@ def _report(result: Reconstruction, folder: Path, source: str | None) -> Report:
         kind="A sequence, reconstructed by tisfm reconstruct",
         summary=_summary(result, folder, source),
         statuses=counts,
-        grades=count_grades(result.grades),
+        grades=count_grades(result.grade_summary),
         grade_spans=status_spans([str(grade) for grade in result.grades]),
         spans=status_spans([str(status) for status in result.status]),
         unit="frame",

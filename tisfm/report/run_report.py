@@ -9,7 +9,7 @@ import numpy as np
 
 from tisfm.errors import InputError
 from tisfm.focal_guess import at_size
-from tisfm.grade import Grade, GradeSummary
+from tisfm.grade import Grade, GradeSummary, summarise_grades
 from tisfm.interpretation import Interpretation
 from tisfm.report.drawings import curves_drawing
 from tisfm.report.page import Picture, Report, Slide, check_report, write_report
@@ -151,7 +151,7 @@ def _report(folder: Path, run: _Run, source: str | None) -> Report:
         kind="Pairs of frames, interpreted by tisfm run",
         summary=_summary(folder, run, shape, source),
         statuses=counts,
-        grades=count_grades([pair.grade for pair in run.pairs]),
+        grades=count_grades(_summarise_grades(run.pairs)) if run.pairs else (),
         grade_spans=status_spans([str(pair.grade) for pair in run.pairs]),
         spans=status_spans(codes),
         unit="pair",
@@ -184,7 +184,7 @@ def _summary(
         ("Folder", folder.resolve().name),
         ("Pairs", str(count)),
         ("Converged", f"{converged_count} of {count}"),
-        *([("Grade", _grade_text(run.pairs))] if run.pairs else []),
+        *([("Grade", _summarise_grades(run.pairs).text)] if run.pairs else []),
         *([("Frames", f"{shape[1]} × {shape[0]} px")] if shape else []),
         ("Preset", nearest_preset(run.settings)),
         ("Motion", run.settings.motion),
@@ -195,9 +195,9 @@ def _summary(
     ]
 
 
-def _grade_text(pairs: Sequence[_Pair]) -> str:
+def _summarise_grades(pairs: Sequence[_Pair]) -> GradeSummary:
     errors = [np.nan if pair.depth_error is None else pair.depth_error for pair in pairs]
-    return GradeSummary.of([pair.grade for pair in pairs], errors).text
+    return summarise_grades([pair.grade for pair in pairs], [pair.status for pair in pairs], errors)
 
 
 def _slides(

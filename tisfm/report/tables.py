@@ -7,7 +7,7 @@ from itertools import pairwise
 from typing import Any, get_args
 
 from tisfm.grade import COLORS as GRADE_COLORS
-from tisfm.grade import Grade
+from tisfm.grade import GradeSummary
 from tisfm.settings import Preset, Settings
 from tisfm.status import UNKNOWN_STATUS_ADVICE, Status
 
@@ -75,13 +75,10 @@ def status_color(code: str) -> str:
     return (_COLORS | GRADE_COLORS).get(code, _FAILURE_COLOR)
 
 
-def count_grades(grades: Sequence[Grade]) -> list[tuple[str, int, str]]:
+def count_grades(summary: GradeSummary) -> list[tuple[str, int, str]]:
     """Return word, count and meaning of the grades that occur, the best first."""
-    counts = Counter(grades)
     return [
-        (str(grade), counts[grade], GRADE_MEANINGS[str(grade)])
-        for grade in Grade
-        if grade in counts
+        (str(grade), count, GRADE_MEANINGS[str(grade)]) for grade, count in summary.counts.items()
     ]
 
 

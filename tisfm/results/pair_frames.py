@@ -15,7 +15,7 @@ from tisfm.folders.run_record import RECORD as RUN
 from tisfm.folders.run_record import refuse_other_format
 from tisfm.formats import FormatError
 from tisfm.formats.reading import read_json
-from tisfm.grade import Grade
+from tisfm.grade import Grade, GradeSummary, summarise_grades
 from tisfm.interpretation import Interpretation
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.results.frame import ResultFrame, mean_inverse_depth
@@ -105,6 +105,11 @@ class PairFrames:
 
     def __len__(self) -> int:
         return len(self.names)
+
+    @property
+    def grade_summary(self) -> GradeSummary:
+        """The grades of the frames, the median and the worst."""
+        return summarise_grades(self.grades, self.statuses, self.depth_errors)
 
     @property
     def shape(self) -> tuple[int, int]:

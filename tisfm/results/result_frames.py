@@ -9,7 +9,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tisfm.grade import Grade
+from tisfm.grade import Grade, GradeSummary
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.results.frame import ResultFrame
 from tisfm.results.fused_scene import FusedKind, FusedScene
@@ -46,6 +46,13 @@ class ResultFrames(Protocol):
     @property
     def shape(self) -> tuple[int, int]:
         """Height and width of the frames, px."""
+
+    @property
+    def grade_summary(self) -> GradeSummary:
+        """The grades of the frames, the median and the worst.
+
+        Frames without requested depth do not count.
+        """
 
     @property
     def depth_advice(self) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tisfm.errors import InputError
-from tisfm.grade import Grade
+from tisfm.grade import Grade, GradeSummary
 from tisfm.reconstruction.result.folder import DEPTH, RECORD, depth_path
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.reconstruction.result.reconstruction import Reconstruction
@@ -74,6 +74,11 @@ class SequenceFrames:
 
     def __len__(self) -> int:
         return len(self.names)
+
+    @property
+    def grade_summary(self) -> GradeSummary:
+        """The grades of the frames, the median and the worst."""
+        return self._result.grade_summary
 
     @property
     def shape(self) -> tuple[int, int]:

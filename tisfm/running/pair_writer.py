@@ -14,7 +14,7 @@ from tisfm.camera import Camera
 from tisfm.folders.files import TIMINGS
 from tisfm.folders.result_folder import InputFiles, locked_folder, make_result_folder
 from tisfm.folders.run_record import ENDINGS, RANGE_KEYS, RECORD, TABLE, RunRecord
-from tisfm.grade import Grade, GradeSummary
+from tisfm.grade import GradeSummary, upper_median
 from tisfm.interpretation import Interpretation
 from tisfm.report import REPORT, is_report
 from tisfm.running.pair_files import DEFAULT_OUTPUTS, Checksums, PairFiles, Ranges, check_outputs
@@ -194,16 +194,16 @@ class PairWriter:
     @property
     def grade_summary(self) -> GradeSummary | None:
         """The grades of finished pairs, the median and the worst; None without pairs."""
-        pairs = list(self._record.pairs.values())
-        grades = [Grade(pair["grade"]) for pair in pairs]
-        errors = [math.nan if (x := pair["depth_error"]) is None else x for pair in pairs]
-        return GradeSummary.of(grades, errors) if pairs else None
+        return self._record.grade_summary
 
     @property
     def median_error(self) -> float:
-        """Median of the expected relative errors of depth of finished pairs; NaN without depth."""
+        """Median of the expected relative errors of depth of finished pairs; NaN without depth.
+
+        Contradicted pairs do not count.
+        """
         errors = self._record.errors
-        return errors[len(errors) // 2] if errors else math.nan
+        return upper_median(errors) if errors else math.nan
 
     @property
     def seconds(self) -> list[float]:

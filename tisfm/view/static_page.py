@@ -6,7 +6,6 @@ import numpy as np
 from markupsafe import Markup
 
 from tisfm.errors import InputError
-from tisfm.grade import GradeSummary
 from tisfm.results.frame import ResultFrame
 from tisfm.results.result_frames import ResultFrames
 from tisfm.view.colors import Quantity, Ranges, legend_of_result, object_labels
@@ -95,7 +94,7 @@ def _caption(result: ResultFrames, shown_count: int, unread: list[str]) -> str:
         others = f" and {len(unread) - 1} more" if len(unread) > 1 else ""
         text += f". Left out, as it cannot be read: {unread[0]}{others}"
     if result.names:
-        text += f". Grade {GradeSummary.of(result.grades, result.depth_errors).text}"
+        text += f". Grade {result.grade_summary.text}"
     return text
 
 

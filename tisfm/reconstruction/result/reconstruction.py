@@ -11,7 +11,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.errors import InputError, OutOfRangeError
-from tisfm.grade import Grade, GradeSummary, grade_depth, warn_of_grades
+from tisfm.grade import Grade, GradeSummary, grade_depth, summarise_grades, warn_of_grades
 from tisfm.point_cloud import PointCloud
 from tisfm.reconstruction.result.calibration import GIVEN, Calibration
 from tisfm.reconstruction.result.folder import (
@@ -24,7 +24,7 @@ from tisfm.reconstruction.result.folder import (
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.reconstruction.result.path_check import PathCheck
 from tisfm.reconstruction.result.renewal import TemporaryFolder, copy_folder
-from tisfm.reconstruction.result.summary import summarise, summarise_grades
+from tisfm.reconstruction.result.summary import summarise
 from tisfm.settings import Settings
 from tisfm.status import Status
 

@@ -5,28 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.grade import Grade, GradeSummary
+from tisfm.grade import GradeSummary
 from tisfm.reconstruction.result.calibration import (
     Calibration,
     describe_focal,
     describe_zoom,
 )
 from tisfm.status import Status
-
-
-def summarise_grades(
-    grades: Sequence[Grade],
-    statuses: Sequence[Status],
-    errors: Sequence[float],
-) -> GradeSummary:
-    """Return the summary of the grades of frames.
-
-    Frames whose depth was not requested do not count if other frames have depth.
-    """
-    chosen = list(range(len(grades)))
-    if not np.isnan(np.asarray(errors)).all():
-        chosen = [k for k in chosen if grades[k] != Grade.NO_DEPTH or statuses[k] != "converged"]
-    return GradeSummary.of([grades[k] for k in chosen], [errors[k] for k in chosen])
 
 
 def summarise(
