@@ -133,6 +133,16 @@ def test_deviations_do_not_depend_on_the_origin_of_the_world():
         )
 
 
+@pytest.mark.filterwarnings("ignore:.*encountered:RuntimeWarning")
+def test_camera_with_numbers_that_are_too_large_stays():
+    tracks = bundle(np.zeros(8))
+    points = tracks.points.copy()
+    points[0] = 1e100, 0, 0  # its direction has no finite derivative
+    found = adjust_camera(replace(tracks, points=points), FOCAL, ("focal", "k1", "k2"))
+    assert found.focal == pytest.approx(FOCAL)
+    assert np.isinf(found.common_deviation[0])
+
+
 def path_of(*pieces):
     return CameraPath(pieces=pieces, missing={}, observations=(), camera=tisfm.Camera(focal=FOCAL))
 
@@ -303,7 +313,13 @@ def test_distortion_that_is_not_stated_is_found(film):
     ).reshape(height, width, 2)
     source = straight.astype(np.float32)
     frames = [
-        cv2.remap(np.asarray(frame), source[..., 0], source[..., 1], cv2.INTER_CUBIC)
+        cv2.remap(
+            np.asarray(frame),
+            source[..., 0],
+            source[..., 1],
+            cv2.INTER_CUBIC,
+            borderMode=cv2.BORDER_REFLECT_101,  # a constant border would be fixed on the sensor
+        )
         for frame in film.frames
     ]
     result = tisfm.reconstruct(frames, camera=film.camera, settings=FAST, depth_of="none")

@@ -135,10 +135,8 @@ def adjust_camera(
         state = _minimise(bundle, state, is_free, scale, steps)
     linear = _linearise(bundle, state)
     variances = np.zeros(len(is_free))
-    inverse = np.linalg.pinv(
-        _reduce(bundle, state, linear, is_free, scales[-1]).matrix, hermitian=True
-    )
-    variances[is_free] = np.maximum(np.diag(inverse), 0) * CALIBRATION.correlated_observations
+    matrix = _reduce(bundle, state, linear, is_free, scales[-1]).matrix
+    variances[is_free] = _find_variances(matrix) * CALIBRATION.correlated_observations
     deviations = np.sqrt(variances)
     costs = _costs(linear.residuals, scales[-1])
     return AdjustedCamera(
@@ -150,6 +148,13 @@ def adjust_camera(
         residual=linear.deviation,
         costs=np.bincount(bundle.indices, costs, minlength=len(bundle.points)),
     )
+
+
+def _find_variances(matrix: np.ndarray) -> np.ndarray:
+    """Return the diagonal of the inverse of normal equations; infinite if there is no inverse."""
+    if not np.isfinite(matrix).all():
+        return np.full(len(matrix), np.inf)
+    return np.maximum(np.diag(np.linalg.pinv(matrix, hermitian=True)), 0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -377,13 +382,18 @@ def _total_cost(
 def _minimise(
     bundle: TrackBundle, state: _State, is_free: np.ndarray, scale: float, steps: int
 ) -> _State:
-    """Return the state after damped Gauss–Newton steps (Levenberg and Marquardt)."""
+    """Return the state after damped Gauss–Newton steps (Levenberg and Marquardt).
+
+    The steps end where numbers are too large: a point lies beside a camera, far from its axis.
+    """
     damping = CALIBRATION.bundle_damping
     linear = _linearise(bundle, state)
     for _ in range(steps):
         deviation = linear.weighting_deviation
         cost = _total_cost(bundle, state, linear, scale, deviation)
         reduced = _reduce(bundle, state, linear, is_free, scale, damping)
+        if not np.isfinite(reduced.matrix).all():
+            break
         step = np.zeros(len(is_free))
         step[is_free] = -np.linalg.lstsq(reduced.matrix, reduced.gradient, rcond=None)[0]
         candidate = state.moved(step, reduced.point_step(step[is_free]))
