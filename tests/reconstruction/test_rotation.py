@@ -15,10 +15,12 @@ from tisfm.exports.export_request import ExportRequest, piece_frames
 from tisfm.exports.formats import FORMATS
 from tisfm.reconstruction.chunks.overlaps import overlap_sim3
 from tisfm.reconstruction.mapping.solution import Piece
+from tisfm.reconstruction.path.path_solver import PathSolver
 from tisfm.reconstruction.rotation.adjustment import Orientations, adjust_orientations
 from tisfm.reconstruction.rotation.frame_pairs import FramePair, frame_pairs
 from tisfm.reconstruction.rotation.pair_rotation import fit_rotation
 from tisfm.reconstruction.rotation.rotation_search import RotationSearch
+from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracks
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.results.sequence_frames import SequenceFrames
 from tisfm.rigid import pose_matrix
@@ -132,6 +134,17 @@ def test_moving_camera_is_no_rotation(is_focal_known, spread):
     assert found is None
 
 
+def test_turns_before_and_after_a_cut_are_two_pieces():
+    first, second = seen(scene(), turns(6)), seen(scene(seed=5), turns(5))
+    second = [replace(each, tracks=each.tracks + 1000) for each in second]
+    tracks = SequenceTracks(
+        observations=[*first, *second], views=[], matches={}, distinct_count=11, shape=SHAPE
+    )
+    path = PathSolver(tracks=tracks, camera=CAMERA, readout=0.0).solve()
+    assert [list(piece.poses) for piece in path.pieces] == [list(range(6)), list(range(6, 11))]
+    assert all(piece.only_turns for piece in path.pieces) and not path.missing
+
+
 def test_small_turn_is_left_alone():
     observations = seen(scene(), turns(12, (0, 0.001, 0)), noise=0.3)
     assert search(observations).find_piece(range(12), is_focal_known=True) is None
@@ -200,6 +213,10 @@ def test_piece_with_positions_comes_first(turned):
     status = (*turned.status[:4], Status("converged"), Status("converged"))
     piece = np.array([0, 0, 0, 0, 1, 1], np.int32)
     mixed = replace(turned, status=status, piece=piece, unit=(1.0, 1.0))
+    export = ExportRequest(
+        result=mixed, frames=SequenceFrames(mixed), chosen=range(6), folder=turned.folder
+    )
+    assert any("4 frames left out" in note for note in FORMATS["nerfstudio"].notes(export))
     assert mixed.largest_piece == 1 and mixed.has_position.tolist() == [False] * 4 + [True] * 2
     assert piece_frames(mixed) == [[4, 5], [0, 1, 2, 3]] and model_frames(mixed) == {1: [4, 5]}
 

@@ -463,7 +463,7 @@ def _contradiction_causes(
         grey=lambda frame: frames.tracker_input(frame)[0],
     )
     causes = {
-        number: search.find_image_cause(range(min(piece.poses), max(piece.poses) + 1))
+        number: search.find_image_cause(sorted(piece.poses))
         for number, (piece, check) in enumerate(zip(path.pieces, checks, strict=True))
         if check.contradicts
     }

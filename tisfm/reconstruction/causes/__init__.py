@@ -1,5 +1,5 @@
 """Why frames have no pose: noise, light, fixed patterns, planes, repetition, too little texture.
 
-May import: `camera`, `status`, `reconstruction.mapping`, `reconstruction.rotation` and
-`reconstruction.tracks`.
+May import: `camera`, `status`, `reconstruction.frames`, `reconstruction.mapping`,
+`reconstruction.rotation` and `reconstruction.tracks`.
 """

@@ -57,13 +57,27 @@ def _texture_message(images: ImageMeasures) -> str:
     return f"the frame is bare: {share}. Show textured surfaces"
 
 
-def motion_cause(tracks: TrackMeasures, *, is_focal_known: bool) -> Status:
+def motion_cause(
+    tracks: TrackMeasures,
+    *,
+    is_focal_known: bool,
+    # whether frames in which the camera clearly turns have orientations: then one plane is left as
+    # the explanation
+    are_turns_found: bool = True,
+) -> Status:
     """Return what the tracks show against a path, as a status."""
     if tracks.motion < ROTATION.min_motion:
         return Status(
             "little_parallax",
             f"the camera hardly moves: the image moves by {100 * tracks.motion:.1g} % of its "
             "longer side at most. Take frames farther apart (--step), or move the camera",
+        )
+    if tracks.homography <= CAUSES.max_plane_residual and not are_turns_found:
+        return Status(
+            "little_parallax",
+            "the camera only turns, or the scene is one plane: both look alike. A stream finds no "
+            "orientations: take the frames as a sequence (tisfm.reconstruct), or move the camera "
+            "sideways",
         )
     if tracks.homography <= CAUSES.max_plane_residual and not is_focal_known:
         return Status(

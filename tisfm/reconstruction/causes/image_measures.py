@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
+from scipy.fft import irfft2, next_fast_len, rfft2
 
 from tisfm.reconstruction.causes.settings import CAUSES
 
@@ -15,62 +17,96 @@ _NOISE_GAIN = 6.0  # standard deviation of its response to noise of deviation 1
 
 @dataclass(frozen=True, kw_only=True)
 class ImageMeasures:
-    """Measures of frames; medians over the frames, or over pairs of them."""
+    """Measures of frames; medians over the frames, or over pairs of them.
 
-    brightness: float  # mean grey level
-    contrast: float  # standard deviation of grey levels
-    noise: float  # standard deviation of noise, grey levels
-    sharpness: float  # share of the contrast that a small blur removes
-    texture: float  # share of the blocks of a frame that have texture above the noise
-    # change of light between neighbouring frames: the logarithm of the ratio of brightness
-    light_change: float
-    # correlation of fine details at the same pixel in frames apart: 1 for a pattern that is fixed
-    fixed_correlation: float
-    coarse_correlation: float  # the same of coarse structure: 1 for a camera at rest
-    # highest correlation of a frame with itself, moved by more than a few pixels
-    repetition: float
+    Each is measured when it is needed first.
+    """
+
+    # Frames and the next frames, (h, w) float32, as `shrink_for_flow` returns them: what hides
+    # motion from the tracks is seen in them. At least one, in order.
+    pairs: Sequence[tuple[np.ndarray, np.ndarray]]
+    # Of each pair, (N, 2) px in both frames: points that the frames share. Give none if few points
+    # are tracked: those follow what hides the motion. None for a pair at a cut, whose light is not
+    # compared.
+    points: Sequence[tuple[np.ndarray, np.ndarray] | None]
+
+    @cached_property
+    def brightness(self) -> float:
+        """The mean grey level."""
+        return _median([float(frame.mean()) for frame in self._frames])
+
+    @cached_property
+    def contrast(self) -> float:
+        """The standard deviation of grey levels."""
+        return _median([float(frame.std()) for frame in self._frames])
+
+    @cached_property
+    def noise(self) -> float:
+        """The standard deviation of noise, grey levels."""
+        return _median(self._noise_levels)
+
+    @cached_property
+    def sharpness(self) -> float:
+        """The share of the contrast that a small blur removes."""
+        return _median([measure_sharpness(frame) for frame in self._frames])
+
+    @cached_property
+    def texture(self) -> float:
+        """The share of the blocks of a frame that have texture above the noise."""
+        return _median(list(map(measure_textured_share, self._frames, self._noise_levels)))
+
+    @cached_property
+    def light_change(self) -> float:
+        """The change of light between neighbouring frames: the logarithm of the ratio."""
+        return _median(
+            [
+                compare_light_of_points(*pair, *points)
+                if len(points[0]) >= CAUSES.min_compared_tracks
+                else compare_light_of_rows(*pair)
+                for pair, points in zip(self.pairs, self.points, strict=True)
+                if points is not None
+            ]
+        )
+
+    @cached_property
+    def fixed_correlation(self) -> float:
+        """The correlation of fine details at the same pixel in frames apart.
+
+        It is 1 for a pattern that is fixed on the sensor.
+        """
+        return _median([correlate_details(*pair) for pair in self._frames_apart])
+
+    @cached_property
+    def coarse_correlation(self) -> float:
+        """The same of coarse structure: 1 for a camera at rest."""
+        return _median([correlate_coarse(*pair) for pair in self._frames_apart])
+
+    @cached_property
+    def repetition(self) -> float:
+        """The highest correlation of a frame with itself, moved by more than a few pixels."""
+        return _median([measure_repetition(frame) for frame in self._frames])
 
     @property
     def structure(self) -> float:
         """The standard deviation of grey levels without the noise."""
         return float(np.sqrt(max(self.contrast**2 - self.noise**2, 0.0)))
 
+    @property
+    def _frames(self) -> list[np.ndarray]:
+        return [before for before, _ in self.pairs]
 
-def measure_images(
-    pairs: Sequence[tuple[np.ndarray, np.ndarray]],  # frames and the next frames, (H, W) uint8
-    # Of each pair, (N, 2) px in both frames: points that the frames share. Give none if few points
-    # are tracked: those follow what hides the motion.
-    points: Sequence[tuple[np.ndarray, np.ndarray]],
-) -> ImageMeasures:
-    """Return the measures of pairs of neighbouring frames, in order; at least one."""
-    frames = [before for before, _ in pairs]
-    half = max(1, len(frames) // 2)
-    apart = list(zip(frames, frames[half:], strict=False)) or [pairs[0]]
-    noise = [noise_level(frame) for frame in frames]
-    return ImageMeasures(
-        brightness=_median([float(frame.mean()) for frame in frames]),
-        contrast=_median([float(frame.std()) for frame in frames]),
-        noise=_median(noise),
-        sharpness=_median([sharpness(frame) for frame in frames]),
-        texture=_median(
-            [textured_share(frame, level) for frame, level in zip(frames, noise, strict=True)]
-        ),
-        light_change=_median(
-            [
-                light_change_of_points(*pair, *of_pair)
-                if len(of_pair[0]) >= CAUSES.min_compared_tracks
-                else light_change_of_rows(*pair)
-                for pair, of_pair in zip(pairs, points, strict=True)
-            ]
-        ),
-        fixed_correlation=_median([detail_correlation(*pair) for pair in apart]),
-        coarse_correlation=_median([coarse_correlation(*pair) for pair in apart]),
-        repetition=_median([repetition(frame) for frame in frames]),
-    )
+    @property
+    def _frames_apart(self) -> Sequence[tuple[np.ndarray, np.ndarray]]:
+        frames = self._frames
+        return list(zip(frames, frames[max(1, len(frames) // 2) :], strict=False)) or self.pairs[:1]
+
+    @cached_property
+    def _noise_levels(self) -> list[float]:
+        return [measure_noise(frame) for frame in self._frames]
 
 
-def noise_level(grey: np.ndarray) -> float:
-    """Return the standard deviation of the noise of a frame, (H, W) uint8, in grey levels.
+def measure_noise(grey: np.ndarray) -> float:
+    """Return the standard deviation of the noise of a frame, (H, W), in grey levels.
 
     Of the blocks of the frame, those with the least response count: others have texture.
 
@@ -85,8 +121,8 @@ def noise_level(grey: np.ndarray) -> float:
     return float(np.quantile(deviations, CAUSES.noise_quantile))
 
 
-def textured_share(grey: np.ndarray, noise: float) -> float:
-    """Return the share of the blocks of a frame, (H, W) uint8, with texture above the noise.
+def measure_textured_share(grey: np.ndarray, noise: float) -> float:
+    """Return the share of the blocks of a frame, (H, W), with texture above the noise.
 
     `noise` is the standard deviation of the noise, grey levels.
     """
@@ -98,15 +134,15 @@ def textured_share(grey: np.ndarray, noise: float) -> float:
     return float((blocks.std(axis=(1, 3)) > limit).mean()) if blocks.size else 0.0
 
 
-def sharpness(grey: np.ndarray) -> float:
-    """Return the share of the contrast of a frame, (H, W) uint8, that a small blur removes."""
+def measure_sharpness(grey: np.ndarray) -> float:
+    """Return the share of the contrast of a frame, (H, W), that a small blur removes."""
     values = grey.astype(np.float32)
     fine = values - cv2.GaussianBlur(values, (0, 0), CAUSES.sharp_blur)
-    return float(fine.std() / max(float(values.std()), 1e-6))
+    return float(fine.std() / max(float(values.std()), CAUSES.min_deviation))
 
 
-def light_change_of_rows(before: np.ndarray, after: np.ndarray) -> float:
-    """Return the change of light from a frame to the next one, both (H, W) uint8.
+def compare_light_of_rows(before: np.ndarray, after: np.ndarray) -> float:
+    """Return the change of light from a frame to the next one, both (H, W).
 
     The brightness of bands of rows is compared: a change of all light, or bands of light, change
     whole rows. Motion changes the brightness of rows less than that of small blocks.
@@ -120,8 +156,8 @@ def light_change_of_rows(before: np.ndarray, after: np.ndarray) -> float:
     return float(np.sqrt((change**2).mean()))
 
 
-def light_change_of_points(
-    # before, after: (H, W) uint8
+def compare_light_of_points(
+    # before, after: (H, W)
     before: np.ndarray,
     after: np.ndarray,
     # points0, points1: (N, 2) px: positions of the same points in the two frames
@@ -137,8 +173,8 @@ def light_change_of_points(
     return float(np.median(np.abs(np.log((brightness[1] + 1) / (brightness[0] + 1)))))
 
 
-def detail_correlation(first: np.ndarray, second: np.ndarray) -> float:
-    """Return the correlation of fine details at the same pixel of two frames, (H, W) uint8."""
+def correlate_details(first: np.ndarray, second: np.ndarray) -> float:
+    """Return the correlation of fine details at the same pixel of two frames, (H, W)."""
     details = [_details(frame) for frame in (first, second)]
     deviations = [float(detail.std()) for detail in details]
     if min(deviations) == 0:
@@ -146,7 +182,7 @@ def detail_correlation(first: np.ndarray, second: np.ndarray) -> float:
     return float((details[0] * details[1]).mean() / (deviations[0] * deviations[1]))
 
 
-def coarse_correlation(first: np.ndarray, second: np.ndarray) -> float:
+def correlate_coarse(first: np.ndarray, second: np.ndarray) -> float:
     """Return the correlation of coarse structure at the same pixel of two frames."""
     smooth = [
         cv2.GaussianBlur(frame.astype(np.float32), (0, 0), CAUSES.coarse_blur)
@@ -159,26 +195,26 @@ def coarse_correlation(first: np.ndarray, second: np.ndarray) -> float:
     return float((centered[0] * centered[1]).mean() / (deviations[0] * deviations[1]))
 
 
-def repetition(grey: np.ndarray) -> float:
-    """Return the highest correlation of a frame, (H, W) uint8, with itself, moved.
+def measure_repetition(grey: np.ndarray) -> float:
+    """Return the highest correlation of a frame, (H, W), with itself, moved.
 
-    Moves of at least `min_repetition_distance` px, and of at most a third of the frame.
+    Moves of at least `min_repetition_distance` px, and of at most `max_repetition_move` of the
+    frame.
     """
     height, width = grey.shape
     values = grey.astype(np.float32)
     values -= cv2.GaussianBlur(values, (0, 0), CAUSES.repetition_blur)
-    power = np.abs(np.fft.rfft2(values, (2 * height, 2 * width))) ** 2
-    overlap = np.fft.irfft2(
-        np.abs(np.fft.rfft2(np.ones_like(values), (2 * height, 2 * width))) ** 2
-    )
-    correlation = np.fft.irfft2(power) / np.maximum(overlap, 1)
-    if correlation[0, 0] < 1:  # grey levels, squared
-        return 0.0
-    dy, dx = height // 3, width // 3
+    dy, dx = (int(CAUSES.max_repetition_move * side) for side in (height, width))
+    size = next_fast_len(height + dy, real=True), next_fast_len(width + dx, real=True)
+    correlation = irfft2(np.abs(rfft2(values, size)) ** 2, size)
     window = np.roll(correlation, (dy, dx), (0, 1))[: 2 * dy + 1, : 2 * dx + 1]
     y, x = np.mgrid[-dy : dy + 1, -dx : dx + 1]
+    window = window / ((height - np.abs(y)) * (width - np.abs(x)))  # the mean over the overlap
+    variance = float(window[dy, dx])
     is_far = np.hypot(y, x) >= CAUSES.min_repetition_distance
-    return float(window[is_far].max() / correlation[0, 0]) if is_far.any() else 0.0
+    if variance < CAUSES.min_repetition_variance or not is_far.any():
+        return 0.0
+    return float(window[is_far].max() / variance)
 
 
 def _details(grey: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ class CauseSettings:
     """
 
     max_frames: int = 8  # frames that are measured, each with the next frame
-    # image_measures
+    # image_measures; px of frames that were shrunk for flow
     noise_block: int = 16  # px: side of the blocks whose noise and texture are measured
     noise_quantile: float = 0.1  # of the blocks: others have texture
     detail_blur: float = 1.5  # px: blur that removes most of the noise before texture is measured
@@ -26,6 +26,9 @@ class CauseSettings:
     coarse_blur: float = 4.0  # px: blur that leaves no fixed pattern
     sharp_blur: float = 2.0  # px: blur that a sharp frame differs from
     repetition_blur: float = 8.0  # px: coarser structure is removed
+    max_repetition_move: float = 0.33  # of a side: larger moves leave too little to compare
+    min_repetition_variance: float = 1.0  # grey levels, squared: less is no texture
+    min_deviation: float = 1e-6  # grey levels: of a frame with one grey level
     min_repetition_distance: float = 8.0  # px between a texture and its repetition
     # cause
     max_noise_share: float = 0.25  # noise over contrast: 0.002–0.17 with a path, 0.47 without
@@ -42,6 +45,7 @@ class CauseSettings:
     max_plane_residual: float = 1.0  # px of 640: residual of a homography in front of one plane
     # smaller share of a frame's tracks that go on: the scene changed, as at a cut
     max_cut_survival: float = 0.1
+    min_broken_pairs: int = 3  # pairs of frames at which tracks end: more than cuts would break
 
 
 CAUSES = CauseSettings()

@@ -1,6 +1,8 @@
 """Statuses of frames without a pose: what happened, why, and what to do."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -17,52 +19,76 @@ def runs_of(frames: Sequence[int]) -> list[list[int]]:
     return [run for run in runs if run]
 
 
-def statuses_without_pose(
-    frames: Sequence[int],  # frames without a pose, in order
-    search: CauseSearch,
-    *,
-    has_pieces: bool,  # whether other frames of the sequence have poses
-    distinct_count: int,  # number of frames that differ from one another
-    # whether the focal length is known: then a path may begin where all points lie in one plane
-    is_focal_known: bool,
-) -> dict[int, Status]:
-    """Return the status of each frame."""
-    statuses: dict[int, Status] = {}
-    for run in runs_of(frames):
-        cause = search.find_image_cause(run)
-        if not has_pieces and distinct_count < 2 and cause != "fixed_pattern":
-            cause = None  # the camera is at rest
-        if cause is None and not has_pieces:
-            cause = _cause_without_path(run, search, distinct_count, is_focal_known)
-        for frame in run:
-            statuses[frame] = cause or _status_beside_path(frame, search)
-            count = len(search.observations[frame].tracks)
-            if count < MAPPING.min_observations and statuses[frame] not in _STRONGER:
-                statuses[frame] = Status(
-                    "no_texture",
-                    f"it shows only {count} points that can be tracked: it is dark, bare or "
-                    "blurred. Leave the frame out, or give more light and texture",
-                )
-    return statuses
-
-
 # Causes that explain why a frame shows few points.
-_STRONGER = ("noise", "changing_light", "fixed_pattern")
+_EXPLAINS_FEW_POINTS = ("noise", "changing_light", "fixed_pattern")
 
 
-def _cause_without_path(
-    run: Sequence[int], search: CauseSearch, distinct_count: int, is_focal_known: bool
-) -> Status:
-    """Return the status of a run of a sequence in which no frame has a pose."""
-    if distinct_count < 2:
-        return Status("no_motion", "frames hardly differ: the camera has to move")
-    if distinct_count < MAPPING.min_views:
-        return Status(
-            "little_parallax",
-            f"only {distinct_count} frames differ, but a path needs {MAPPING.min_views}: "
-            "take more frames, or give the pair to tisfm.interpret",
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MissingPoses(Mapping[int, Status]):
+    """The status of each frame without a pose; found when it is asked for."""
+
+    frames: Sequence[int]  # frames without a pose, in order
+    search: CauseSearch
+    has_pieces: bool  # whether other frames of the sequence have poses
+    distinct_count: int  # number of frames that differ from one another
+    # whether the focal length is known: then a path may begin where all points lie in one plane
+    is_focal_known: bool
+    # whether a rotation that explains the motion of a run becomes a piece of the path
+    are_turns_found: bool = True
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self.frames)
+
+    def __getitem__(self, frame: int) -> Status:
+        run = self._runs[frame]
+        cause = self._causes[run[0]] if run[0] in self._causes else self._find_cause(run)
+        self._causes[run[0]] = cause
+        status = cause or _status_beside_path(frame, self.search)
+        count = len(self.search.observations[frame].tracks)
+        if count < MAPPING.min_observations and status not in _EXPLAINS_FEW_POINTS:
+            status = Status(
+                "no_texture",
+                f"it shows only {count} points that can be tracked: it is dark, bare or "
+                "blurred. Leave the frame out, or give more light and texture",
+            )
+        return status
+
+    @cached_property
+    def _runs(self) -> dict[int, list[int]]:
+        """The run of each frame."""
+        return {frame: run for run in runs_of(self.frames) for frame in run}
+
+    @cached_property
+    def _causes(self) -> dict[int, Status | None]:
+        """The causes that were found, by the first frames of the runs; None for no cause."""
+        return {}
+
+    def _find_cause(self, run: Sequence[int]) -> Status | None:
+        cause = self.search.find_image_cause(run)
+        if not self.has_pieces and self.distinct_count < 2 and cause != "fixed_pattern":
+            cause = None  # the camera is at rest
+        if cause is None and not self.has_pieces:
+            cause = self._find_cause_without_path(run)
+        return cause
+
+    def _find_cause_without_path(self, run: Sequence[int]) -> Status:
+        """Return the status of a run of a sequence in which no frame has a pose."""
+        if self.distinct_count < 2:
+            return Status("no_motion", "frames hardly differ: the camera has to move")
+        if self.distinct_count < MAPPING.min_views:
+            return Status(
+                "little_parallax",
+                f"only {self.distinct_count} frames differ, but a path needs "
+                f"{MAPPING.min_views}: take more frames, or give the pair to tisfm.interpret",
+            )
+        return motion_cause(
+            self.search.measure_tracks(run),
+            is_focal_known=self.is_focal_known,
+            are_turns_found=self.are_turns_found,
         )
-    return motion_cause(search.measure_tracks(run), is_focal_known=is_focal_known)
 
 
 def _status_beside_path(frame: int, search: CauseSearch) -> Status:

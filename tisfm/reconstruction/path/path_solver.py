@@ -23,7 +23,7 @@ from tisfm.reconstruction.mapping.models import (
 )
 from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.mapping.solution import FocalEstimate, PathSolution, Piece
-from tisfm.reconstruction.path.missing_poses import runs_of, statuses_without_pose
+from tisfm.reconstruction.path.missing_poses import MissingPoses, runs_of
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.rolling_shutter.correction import ReadoutCorrection, find_corrected_path
 from tisfm.reconstruction.rotation.rotation_search import RotationSearch
@@ -43,7 +43,7 @@ class CameraPath:
 
     # pieces in the order of their first frames; each frame is in at most one piece
     pieces: tuple[Piece, ...]
-    missing: dict[int, Status]  # reason for each frame that is in no piece
+    missing: Mapping[int, Status]  # reason for each frame that is in no piece
     observations: Sequence[Observations]  # tracks in every frame
     # Camera with the focal length of the path, and with distortion if distortion was estimated.
     # Poses, points and tracks belong to its pinhole, without distortion.
@@ -153,8 +153,15 @@ class PathSolver:
             models = readjust_models(views, matches, camera, shape, start_poses)
         return self._solve_from_models(models, views, observations, camera)
 
-    def find_missing(self, solution: PathSolution) -> dict[int, Status]:
-        """Return the reason for each frame without a pose."""
+    def find_missing(
+        self, solution: PathSolution, *, are_turns_found: bool = True
+    ) -> Mapping[int, Status]:
+        """Return the reason for each frame without a pose; it is found when it is asked for.
+
+        `are_turns_found` says whether frames in which the camera only turns have orientations.
+        """
+        if not solution.missing_frames:
+            return {}
         search = CauseSearch(
             observations=solution.observations,
             views=undistort_views(solution.views, solution.camera, self.tracks.shape),
@@ -163,12 +170,13 @@ class PathSolver:
             shape=self.tracks.shape,
             grey=self.grey,
         )
-        return statuses_without_pose(
-            solution.missing_frames,
-            search,
+        return MissingPoses(
+            frames=solution.missing_frames,
+            search=search,
             has_pieces=bool(solution.pieces),
             distinct_count=self.tracks.distinct_count,
             is_focal_known=self._uses_known_focal,
+            are_turns_found=are_turns_found,
         )
 
     def complete_solution(
@@ -200,6 +208,9 @@ class PathSolver:
 
         If there is no other piece, and the focal length is to be estimated, the rotations show it.
         """
+        runs = [run for run in runs_of(solution.missing_frames) if len(run) >= ROTATION.min_frames]
+        if not runs:
+            return solution
         is_focal_known = self.calibrate == "nothing" or bool(solution.pieces)
         search = RotationSearch(
             observations=solution.observations,
@@ -209,10 +220,9 @@ class PathSolver:
             shape=self.tracks.shape,
             max_deviation=self.max_deviation,
         )
-        for frames in runs_of(solution.missing_frames):
-            if len(frames) < ROTATION.min_frames:
-                continue
-            found = search.find_piece(frames, is_focal_known=is_focal_known)
+        while runs:
+            run = runs.pop(0)
+            found = search.find_piece(run, is_focal_known=is_focal_known)
             if found is None:
                 continue
             piece, estimate = found
@@ -221,6 +231,9 @@ class PathSolver:
                 pieces=[*solution.pieces, piece],
                 missing_frames=[k for k in solution.missing_frames if k not in piece.poses],
             )
+            rest = [frame for frame in run if frame not in piece.poses]
+            if len(rest) >= ROTATION.min_frames:  # another pan, as after a cut
+                runs.insert(0, rest)
             if estimate is not None:  # of the first run; later runs have this focal length too
                 solution = replace(
                     solution, camera=estimate.apply_to(solution.camera), focal=estimate

@@ -91,7 +91,8 @@ def check_with_pairs(
 
 def choose_first_frames(frames: Sequence[int], keyframes: Sequence[int]) -> list[int]:
     """Return the first frames of the pairs: keyframes, or frames if there are few keyframes."""
-    candidates = [frame for frame in keyframes if frame in set(frames)]
+    known = set(frames)
+    candidates = [frame for frame in keyframes if frame in known]
     if len(candidates) < PATH_CHECKS.min_keyframes:
         candidates = sorted({*candidates, *spread_evenly(frames, PATH_CHECKS.max_pairs)})
     return spread_evenly(candidates, PATH_CHECKS.max_pairs)

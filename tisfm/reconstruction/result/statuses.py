@@ -55,8 +55,8 @@ def mark_contradicted(
     for status, piece in zip(statuses, pieces, strict=True):
         if piece >= 0 and (objection or checks[piece].contradicts):
             is_new_piece = NEW_PIECE_NOTE in status.message
-            cause = f"{causes[piece].message}. As a result, " if piece in causes else ""
-            status = Status("contradicted", objection or cause + checks[piece].message)
+            cause = f". Probable cause: {causes[piece].message}" if piece in causes else ""
+            status = Status("contradicted", objection or checks[piece].message + cause)
             status = add_piece_note(status) if is_new_piece else status
         marked.append(status)
     return tuple(marked)

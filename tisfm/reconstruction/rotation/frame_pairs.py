@@ -10,12 +10,10 @@ from tisfm.reconstruction.rotation.settings import ROTATION
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 
-FRAME_SIDE = 640  # px: longer side of the frames for which distances are stated
-
 
 @dataclass(frozen=True, kw_only=True)
 class FramePair:
-    """Positions of points in two frames, px from the centre; y is divided by the aspect."""
+    """Positions of points in two frames, px from the centre."""
 
     first: int
     second: int
@@ -38,7 +36,6 @@ def frame_pairs(
 ) -> list[FramePair]:
     """Return all pairs with enough points."""
     known, center = set(frames), np.array(camera.center_for(*shape))
-    scale = np.array([1.0, camera.aspect])
     pairs = []
     for first in frames:
         for second in (first + step for step in ROTATION.steps):
@@ -57,8 +54,8 @@ def frame_pairs(
         FramePair(
             first=first,
             second=second,
-            before=_spread((before - center) / scale),
-            after=_spread((after - center) / scale),
+            before=_spread(before - center),
+            after=_spread(after - center),
         )
         for first, second, before, after in pairs
         if len(before) >= ROTATION.min_points

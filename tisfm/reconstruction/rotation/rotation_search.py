@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-import cv2
 import numpy as np
 from scipy.optimize import minimize_scalar
 
@@ -16,9 +15,10 @@ from tisfm.reconstruction.rotation.adjustment import (
     adjust_orientations,
     pair_residuals,
 )
-from tisfm.reconstruction.rotation.frame_pairs import FRAME_SIDE, FramePair, frame_pairs
+from tisfm.reconstruction.rotation.frame_pairs import FramePair, frame_pairs
+from tisfm.reconstruction.rotation.pair_homography import fit_homography
 from tisfm.reconstruction.rotation.pair_rotation import fit_rotation
-from tisfm.reconstruction.rotation.settings import ROTATION
+from tisfm.reconstruction.rotation.settings import FRAME_SIDE, ROTATION
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 
@@ -211,23 +211,17 @@ class RotationSearch:
     ) -> np.ndarray:
         """Return (N, 3): residuals of rotation and homography and the motion, px, of wide pairs."""
         widest = self._sample(pairs)
+        smallest = ROTATION.min_homography_residual * self._scale
+        fits = [fit_homography(pair, self._side) for pair in widest]
+        homographies = [max(smallest, fit) if np.isfinite(fit) else smallest for fit in fits]
         return np.array(
             [
-                [np.median(residuals), self._homography_residual(pair), pair.motion]
-                for pair, residuals in zip(widest, pair_residuals(widest, found), strict=True)
+                [np.median(residuals), homography, pair.motion]
+                for pair, homography, residuals in zip(
+                    widest, homographies, pair_residuals(widest, found), strict=True
+                )
             ]
         ).reshape(-1, 3)
-
-    def _homography_residual(self, pair: FramePair) -> float:
-        """Return the median residual of the best homography of a pair, px, bounded below."""
-        smallest = ROTATION.min_homography_residual * self._scale
-        matrix, _ = cv2.findHomography(
-            pair.before, pair.after, cv2.RANSAC, ROTATION.inlier_pixels * self._scale
-        )
-        if matrix is None:
-            return smallest
-        mapped = cv2.perspectiveTransform(pair.before[None], matrix)[0]
-        return max(smallest, float(np.median(np.hypot(*(mapped - pair.after).T))))
 
     def _estimate(self, found: Orientations, pairs: Sequence[FramePair]) -> FocalEstimate | None:
         """Return the focal length, with the deviation from halves of the time and of the image.

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+FRAME_SIDE = 640  # px: longer side of the frames for which distances are stated
+
 
 @dataclass(frozen=True, kw_only=True)
 class RotationSettings:

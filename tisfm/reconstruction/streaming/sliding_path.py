@@ -36,7 +36,7 @@ class SlidingSolution:
     pieces: dict[int, Piece]  # pieces by their numbers, which never change
     fixed_poses: dict[int, np.ndarray]  # (4, 4) float64: fixed poses, by frame
     # reason for each frame without a pose, after the last fixed frame
-    missing: dict[int, Status]
+    missing: Mapping[int, Status]
     # With a rolling shutter: the motion, while rows were read, of frames that are not fixed. Poses
     # and points are then those of middle rows.
     rolling: RollingShutterMotion | None = None
@@ -201,7 +201,7 @@ class SlidingPath:
             fixed_poses={
                 frame: pose for poses in self._fixed_poses.values() for frame, pose in poses.items()
             },
-            missing=solver.find_missing(solution),
+            missing=solver.find_missing(solution, are_turns_found=False),
         )
 
     def _continue_pieces(self) -> tuple[dict[int, Piece], list[int]]:
