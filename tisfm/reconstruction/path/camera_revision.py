@@ -50,9 +50,9 @@ def revise_path(
     if not REVISION.min_views <= count_views(path) <= SUBMAPS.max_views:
         return path
     free = () if solver.calibrate == "nothing" else ("focal",)
-    if not (
-        _fits_badly(path, solver.tracks) or needs_richer_camera(path, free, solver.tracks.shape)
-    ):
+    fits_badly = _fits_badly(path, solver.tracks)
+    max_cost = REVISION.max_cost_of_poor_path if fits_badly else REVISION.max_cost
+    if not needs_richer_camera(path, free, solver.tracks.shape, max_cost):
         return path
     zoomed = _solve_zoom(path, solver, instants, free)
     if zoomed is not None and _shows_zoom(path, zoomed, solver):
@@ -70,6 +70,7 @@ def needs_richer_camera(
     path: CameraPath,
     free: Sequence[str],  # unknowns of the camera that the path was solved with
     shape: tuple[int, int],  # height and width of the frames, px
+    max_cost: float,  # robust cost with a richer camera over that with one
 ) -> bool:
     """Return whether a richer camera explains the tracks of the largest piece clearly better."""
     views = list(largest_piece(path).views)
@@ -86,7 +87,7 @@ def needs_richer_camera(
             base.bundle, base.focal, COMMON, has_zoom=True, scales=(MAPPING.outlier_pixels,),
             steps=REVISION.rich_steps,
         )  # fmt: skip
-        if rich.cost < REVISION.max_cost * base.cost:
+        if rich.cost < max_cost * base.cost:
             return True
     return False
 
