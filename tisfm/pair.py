@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from tisfm.camera import Camera
+from tisfm.camera import Camera, check_camera
 from tisfm.errors import InputError
 from tisfm.formats.packing import STEP, round_as_packed
 from tisfm.frames import check_frame
@@ -199,7 +199,8 @@ def interpret_pair(
         previous = previous_frame(pyramid, settings, None if window is None else window.previous)
         estimate = field_estimate(pyramid, settings, previous)
     elif settings.motion == "camera":
-        is_plain = lens is None and not prepared_pair.camera.readout
+        given_camera = check_camera(camera)
+        is_plain = given_camera.is_pinhole and not given_camera.readout
         finds_fixed_pixels = fixed_pixels == "mask" and is_plain
         estimate = camera_estimate(
             pyramid, settings, known_pose, finds_fixed_pixels=finds_fixed_pixels

@@ -22,6 +22,7 @@ def test_a_doubt_says_that_one_frame_is_darker():
     assert "The light changed" in found(dark, "camera").message  # it is undone
     doubt = found(dark, "camera", gradient=0.0)
     assert doubt in DOUBTFUL_STATUSES and "Frame 0 is 1.4" in doubt.message
+    assert "bring both frames to one brightness" in doubt.message
     assert "bright" not in found(shot.frames[1], "camera").message
     assert "bright" not in found(dark, "field").message  # brightness hardly disturbs this
     for frame1, told in ((dark[::-1, ::-1], True), (shot.frames[1][::-1, ::-1], False)):

@@ -1,5 +1,7 @@
 """Pixels of a pair that are fixed on the sensor."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ import pytest
 import tisfm
 from tests.rendered import static_scene
 from tisfm.errors import InputError
+from tisfm.motion import camera as camera_module
 from tisfm.motion.fixed_pixels import find_fixed_pixels
 
 HEIGHT, WIDTH = 96, 128
@@ -73,3 +76,30 @@ def test_a_pair_with_a_bonnet():
     assert "fixed" not in result(fixed_pixels="keep").status.message
     with pytest.raises(InputError, match="fixed_pixels is 'yes'"):
         result(fixed_pixels="yes")
+
+
+def test_a_grey_logo_under_changing_light_is_found():
+    scene = static_scene("sideways+rotation", 120, 160)
+    logo = cv2.blur(np.random.default_rng(0).integers(20, 220, (30, 50)).astype(np.float32), (3, 3))
+    frames = [np.array(scene.frame0), np.clip(scene.frame1.astype(int) + 40, 0, 255)]
+    for frame in frames:
+        frame[10:40, 90:140] = logo
+    settings = tisfm.Settings.preset("fast", motion="camera")
+    found = tisfm.interpret(
+        frames[0], frames[1].astype(np.uint8), camera=scene.camera, settings=settings
+    )
+    assert "fixed on the sensor" in found.status.message
+    assert np.isinf(found.inverse_depth_std[15:35, 95:135]).mean() > 0.95
+
+
+def test_frames_that_are_resampled_are_not_searched(monkeypatch):
+    calls = []
+    monkeypatch.setattr(camera_module, "find_fixed_pixels", lambda *frames: calls.append(frames))
+    scene = static_scene("sideways+rotation", 60, 80)
+    settings = tisfm.Settings.preset("fast", motion="camera")
+    lens = (-0.05, 0.0, 0.0, 0.0)
+    for changes in ({}, {"distortion": lens, "readout": 0.002}):
+        calls.clear()
+        camera = replace(scene.camera, **changes)
+        tisfm.interpret(scene.frame0, scene.frame1, camera=camera, settings=settings)
+        assert bool(calls) == (not changes)

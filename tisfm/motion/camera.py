@@ -54,17 +54,17 @@ def camera_estimate(
             ),
             history=[],
         )
+    given_frames1 = pyramid.frames1
     start = first_motion(
         pyramid, settings, pose=pose, min_pixels=DEPTH.min_first_pixels, use_matches=True
     )
-    fixed_pixels = _fixed_pixels(pyramid, start) if finds_fixed_pixels else None
+    fixed_pixels = _find_fixed_pixels(pyramid, start, given_frames1) if finds_fixed_pixels else None
     if fixed_pixels is not None or start.status is not None:
         status = start.status or NO_DEPTH_YET
         estimate = first_motion_estimate(pyramid, settings, start, status, level=level)
         return replace(estimate, fixed_pixels=fixed_pixels)
     if pose is None and not start.uses_matches and start.doubt is None:
-        rays = sample_rays(start.flow, start.trust, pyramid.cameras[start.level])
-        start = replace(start, doubt=find_misfit_doubt(rays, (start.rotation, start.translation)))
+        start = replace(start, doubt=_misfit_doubt(pyramid, start))
     refine: Refinement = "motion"
     unit = None
     if pose is not None:
@@ -102,7 +102,7 @@ def camera_estimate(
                 precise_motions = joint_solution.motions
             else:
                 precise_motions, doubt = _refit_on_finer_flow(pyramid, settings, start, pose)
-                # the finer flow field decides whether depth is uncertain
+                # the finer flow field decides whether parallax or regions make depth uncertain
                 first_doubt = None if start.doubt == "uncertain" else start.doubt
                 start = replace(start, doubt=first_doubt or doubt)
         solution = textureless_depth(pyramid, settings, precise_motions[0])
@@ -131,21 +131,40 @@ def camera_estimate(
     return estimate if start.doubt is None else replace(estimate, status=start.doubt)
 
 
-def _fixed_pixels(pyramid: ImagePyramid, start: FirstMotion) -> np.ndarray | None:
-    """Return the pixels that are fixed on the sensor, (h, w) bool, or None."""
+def _misfit_doubt(pyramid: ImagePyramid, start: FirstMotion) -> Status | None:
+    """Return a status if regions of a flow field move off the lines of its motion, else None."""
+    rays = sample_rays(start.flow, start.trust, pyramid.cameras[start.level])
+    return find_misfit_doubt(rays, (start.rotation, start.translation))
+
+
+def _find_fixed_pixels(
+    pyramid: ImagePyramid,
+    start: FirstMotion,
+    given_frames1: list[np.ndarray],  # frame 1 of each level, in its own light
+) -> np.ndarray | None:
+    """Return the pixels that are fixed on the sensor, (h, w) bool, or None.
+
+    A bonnet changes with the light of the scene, a logo does not. So both frames 1 are searched.
+    """
     if start.status not in (None, *STATUSES_OF_MOTION) or start.uses_matches:
         return None
     has_translation = start.translation.any() and start.status != "pure_rotation"
     unit = start.translation / np.linalg.norm(start.translation) if has_translation else None
-    return find_fixed_pixels(
-        pyramid.frames0[start.level],
-        pyramid.frames1[start.level],
-        pyramid.cameras[start.level],
-        start.rotation,
-        unit,
-        start.flow,
-        start.residual * pyramid.scales[start.level],
-    )
+    frames1 = [pyramid.frames1] + [given_frames1] * bool(start.light)
+    found = [
+        find_fixed_pixels(
+            pyramid.frames0[start.level],
+            frames[start.level],
+            pyramid.cameras[start.level],
+            start.rotation,
+            unit,
+            start.flow,
+            start.residual * pyramid.scales[start.level],
+        )
+        for frames in frames1
+    ]
+    masks = [mask for mask in found if mask is not None]
+    return np.logical_or.reduce(masks) if masks else None
 
 
 def _refit_on_finer_flow(
@@ -158,10 +177,20 @@ def _refit_on_finer_flow(
     """
     pixels = pyramid.frames0[pyramid.last].size
     initial_pose = start.rotation, start.translation
-    refit = first_motion(pyramid, settings, pose=pose, min_pixels=pixels, initial_pose=initial_pose)
-    matrix = start.matrix if refit.status is not None else refit.matrix
+    refit = first_motion(
+        pyramid,
+        settings,
+        pose=pose,
+        min_pixels=pixels,
+        initial_pose=initial_pose,
+        evens_light=False,
+    )
+    used = start if refit.status is not None else refit
+    doubt = refit.doubt
+    if doubt is None and pose is None:
+        doubt = _misfit_doubt(pyramid, used)
     labels = np.zeros(pyramid.shape, np.int32)
-    return scaled_translations(matrix[None], labels, pyramid.cameras[0]), refit.doubt
+    return scaled_translations(used.matrix[None], labels, pyramid.cameras[0]), doubt
 
 
 def first_motion_estimate(

@@ -19,9 +19,9 @@ from tisfm.motion.epipolar_fit import Pose
 from tisfm.motion.estimate import no_motion_status
 from tisfm.motion.frame_agreement import aperture_status, replaced_status, unrelated_status
 from tisfm.motion.homographies import plane_status
-from tisfm.motion.light import LightChange, light_change
+from tisfm.motion.light import LightChange, find_light_change
 from tisfm.motion.problems import flow_problem
-from tisfm.motion.settings import EGOMOTION, LIGHT, SPARSE
+from tisfm.motion.settings import EGOMOTION, SPARSE
 from tisfm.motion.sparse_motion import SparseMotion
 from tisfm.motion.sparse_start import SparseStart, known_pose_start, sparse_start
 from tisfm.rigid import KnownPose
@@ -77,6 +77,8 @@ def first_motion(
     initial_pose: Pose | None = None,
     # (h, w) bool array: pixels of the level whose flow is not trusted, by default none
     hidden: np.ndarray | None = None,
+    # whether a change of light is undone; False if this was done on a coarser level
+    evens_light: bool = True,
 ) -> FirstMotion:
     """Fit a motion to the flow field of a level, or compare a known motion with it.
 
@@ -87,7 +89,8 @@ def first_motion(
     """
     levels = [k for k, frame in enumerate(pyramid.frames0) if frame.size >= min_pixels]
     known_pose = pose or KnownPose(rotation=np.eye(3), translation=None)
-    start = _estimate_in_even_light(pyramid, settings, known_pose, level=max(levels, default=0))
+    estimate_start = _estimate_in_even_light if evens_light else _estimate_flow_field
+    start = estimate_start(pyramid, settings, known_pose, level=max(levels, default=0))
     if start.status is not None:
         return start
     if hidden is not None:
@@ -233,7 +236,9 @@ def _estimate_in_even_light(
     start = _estimate_flow_field(pyramid, settings, known_pose, level=level)
     if settings.gradient == 0 or start.status is not None:
         return start
-    change = light_change(pyramid.frames0[level], pyramid.frames1[level], start.flow, start.trust)
+    change = find_light_change(
+        pyramid.frames0[level], pyramid.frames1[level], start.flow, start.trust
+    )
     # the search for objects allows for small changes of light, so that they are no objects
     if change is None or (settings.motion == "objects" and not change.is_large):
         return start
@@ -245,10 +250,12 @@ def _estimate_in_even_light(
     if not change.is_large:
         return replace(start, light=(change,))
     start = _estimate_flow_field(pyramid, settings, known_pose, level=level)
-    rest = light_change(pyramid.frames0[level], pyramid.frames1[level], start.flow, start.trust)
+    rest = find_light_change(
+        pyramid.frames0[level], pyramid.frames1[level], start.flow, start.trust
+    )
     if rest is None:
         return replace(start, light=(change,))
-    if rest.typical_change > LIGHT.max_rest * change.typical_change:  # the flow was wrong
+    if change.remains(rest):  # the flow was wrong
         pyramid.set_frames1(given_frames1)
         return given_start
     pyramid.set_frames1([rest.undo(frame) for frame in pyramid.frames1])

@@ -4,7 +4,7 @@ A flow field compares frame 1 with frame 0 at corresponding pixels. If large reg
 or darker, frame 1 is brought to the light of frame 0 before motion and depth are estimated.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -32,14 +32,35 @@ class LightChange:
             or self.largest_change > LIGHT.min_large_change_of_flow
         )
 
+    def remains(self, rest: "LightChange") -> bool:
+        """Return whether most of a large change is left in the frames that it was undone in."""
+        return any(
+            before > smallest and after > LIGHT.max_rest * before
+            for before, after, smallest in (
+                (self.typical_change, rest.typical_change, LIGHT.min_typical_change_of_flow),
+                (self.largest_change, rest.largest_change, LIGHT.min_large_change_of_flow),
+            )
+        )
+
     def undo(self, frame1: np.ndarray) -> np.ndarray:
         """Return frame 1, (H, W) float32 of any level, in the light of frame 0."""
         height, width = frame1.shape
         gain = cv2.resize(self.gain, (width, height), interpolation=cv2.INTER_LINEAR)
         return (frame1 - np.float32(self.offset)) / gain
 
+    def warp(self, homography: np.ndarray, shape: tuple[int, ...]) -> "LightChange":
+        """Return the change in other coordinates, which a homography of pixels leads to."""
+        size = shape[::-1]
+        gain = cv2.warpPerspective(
+            cv2.resize(self.gain, size, interpolation=cv2.INTER_LINEAR),
+            homography,
+            size,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        return replace(self, gain=gain)
 
-def light_change(
+
+def find_light_change(
     # frame0, frame1: (h, w) float32, grey levels
     frame0: np.ndarray,
     frame1: np.ndarray,

@@ -61,6 +61,11 @@ def objects_estimate(
         grey1 = change.undo(grey1)
     if is_unclear and start.status == "unrelated":
         start = wide_baseline_motion(pyramid, settings, start, grey0, grey1)
+        if start.uses_matches:
+            for change in start.light:
+                grey1 = change.undo(grey1)
+                pyramid.set_frames1([change.undo(frame) for frame in pyramid.frames1])
+            light += start.light
     start = replace(start, light=light)
     has_no_flow = start.status in ("no_texture", "unrelated", "aperture")
     if has_no_flow or (start.status == "no_motion" and not start.flow.any()):
@@ -211,7 +216,7 @@ def wide_baseline_motion(
     Matches give the rotation of the camera. Frame 1 is resampled without this rotation. Then it
     differs from frame 0 only by parallax and moving objects, which a flow field shows. The flow of
     pixels outside frame 1 is not trusted. If this flow field fails as well, the result is the
-    motion of the matches and its flow.
+    motion of the matches and its flow. The light of the result is yet to be undone.
     """
     match_start = sparse_start(pyramid, start.level, None)
     if match_start is None:
@@ -266,6 +271,7 @@ def wide_baseline_motion(
         trust=np.where(leaves_image(np.moveaxis(flow, -1, 0)), 0, flow_motion.trust),
         history=matched_motion.history + flow_motion.history,
         uses_matches=True,
+        light=tuple(change.warp(homography, grey0.shape) for change in flow_motion.light),
     )
 
 
