@@ -113,9 +113,9 @@ def test_plane_and_a_guessed_focal_length_give_no_path():
     with pytest.warns(tisfm.focal_guess.GuessedFocalWarning):
         found = path_of(plane_film(flight(ABOVE)), focal=None)
     assert (found.piece == -1).all()
-    assert set(found.status) == {"little_parallax"}
+    assert set(found.status) == {"one_plane"}
     assert "one plane" in found.status[0].message
-    assert "give its focal length" in found.status[0].message
+    assert "Give the focal length" in found.status[0].message
 
 
 @pytest.mark.parametrize("stated", nightly_except(1.0, of=[1.0, 0.7, 1.5]))
@@ -160,5 +160,5 @@ def test_guessed_focal_length_is_not_treated_as_known():
             settings=tisfm.Settings.preset("fast", motion="camera"),
             depth_of="none",
         )
-    assert set(found.status) == {"little_parallax"}
+    assert set(found.status) == {"one_plane"}
     assert "one plane" in found.status[0].message

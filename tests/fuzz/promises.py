@@ -15,7 +15,11 @@ WITHOUT_DEPTH = (
 )  # fmt: skip
 OF_CAMERA = ("behind_camera", "unexplained")
 OF_RIGID = ("two_motions", "little_parallax", "pure_rotation", "uncertain", "contradicted")
-OF_FRAMES = ("converged", "no_motion", "no_texture", "little_parallax", "unrelated")
+OF_FRAMES = (
+    "converged", "no_motion", "no_texture", "little_parallax", "unrelated", "uncertain",
+    "contradicted", "pure_rotation", "noise", "fixed_pattern", "changing_light",
+    "repeated_texture", "one_plane",
+)  # fmt: skip
 SCALES = ("size", "contact", "around", "none")
 HALF = 2**-11  # what 11 significant bits are off by
 

@@ -162,7 +162,10 @@ def _shows_zoom(path: CameraPath, zoomed: _ZoomedPath, solver: PathSolver) -> bo
     if relative_cost(adjusted, constant) > REVISION.max_zoom_cost:
         return False
     if solver.calibrate != "nothing":
-        return True
+        # With an uncertain focal length, a forward motion may look like a zoom.
+        return zoomed.path.focal is not None and zoomed.path.focal.is_certain
+    if not solver.is_focal_known:
+        return False
     # A wrong stated focal length may look like a zoom. Then the tracks show another focal length.
     free = adjust_camera(adjusted.bundle, adjusted.focal, ("focal",), has_zoom=True)
     limit = max(REVISION.max_focal_change, REVISION.max_focal_deviations * free.common_deviation[0])

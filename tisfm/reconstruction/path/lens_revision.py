@@ -154,13 +154,16 @@ def _shows_lens(
     solver: PathSolver,
 ) -> bool:
     """Return whether a distortion is significant, and explains what no pinhole explains."""
+    estimate = lens.path.focal
+    is_focal_known = solver.is_focal_known if estimate is None else estimate.is_certain
     corner = float(np.hypot(*solver.camera.center_for(*solver.tracks.shape)))
     displacement = abs(lens.radial) * (corner / lens.path.camera.focal) ** 2
     return (
-        posed_count(lens.path) >= posed_count(path)
+        is_focal_known
+        and posed_count(lens.path) >= posed_count(path)
         and displacement > REVISION.min_displacement
         and abs(lens.radial) > REVISION.min_lens_significance * lens.radial_deviation
-        and relative_cost(lens.adjusted, base) < REVISION.max_cost
+        and relative_cost(lens.adjusted, base) < REVISION.max_distorted_cost
         and (refocused is None or relative_cost(lens.adjusted, refocused) < REVISION.max_lens_cost)
     )
 
