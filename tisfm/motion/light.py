@@ -90,7 +90,9 @@ def find_light_change(
     scale = max(1.4826 * median(np.abs(difference[used > 0])), LIGHT.min_noise)
     smooth_difference = _region_mean(used * difference, sigma) / np.maximum(total, 1e-3)
     weight = used / (1 + ((difference - smooth_difference) / np.float32(3 * scale)) ** 2) ** 2
-    brightness = gain * frame0
+    # Squares of large grey levels exceed float32.
+    unit = np.float32(max(float(np.abs(frame0).max()), 1.0))
+    brightness, difference = np.float32(gain) * (frame0 / unit), difference / unit
     square = _region_mean(weight * brightness**2, sigma)
     product = _region_mean(weight * brightness * difference, sigma)
     prior = np.float32(LIGHT.prior_weight) * np.float32((brightness**2).mean())
