@@ -70,8 +70,12 @@ class RotationSearch:
         if explained.mean() < ROTATION.min_explained_share:
             return None
         estimate = None if is_focal_known else self._estimate(found, pairs)
-        if not is_focal_known and (estimate is None or not self._is_plausible(estimate)):
-            return None
+        if not is_focal_known:
+            if estimate is None or not self._is_plausible(estimate):
+                return None
+            if not estimate.is_useful:  # the guess is better known, as one from EXIF data
+                with_guess = self.find_piece(frames, is_focal_known=True)
+                return None if with_guess is None else (with_guess[0], estimate)
         poses = {}
         for frame, rotation in zip(
             np.array(piece_frames)[explained].tolist(), found.rotations[explained], strict=True
@@ -249,10 +253,10 @@ class RotationSearch:
         )
 
     def _is_plausible(self, estimate: FocalEstimate) -> bool:
-        """Return whether the focal length is shown, and clearly within the searched range."""
+        """Return whether a focal length is shown at all, clearly within the searched range."""
         low, high = np.array(ROTATION.focal_range) * self._side
         return (
-            estimate.is_useful
+            estimate.deviation <= MAPPING.max_useful_deviation * estimate.focal
             and estimate.focal - estimate.deviation > low
             and estimate.focal + estimate.deviation < high
         )
