@@ -55,4 +55,4 @@ def _two_ray_axes(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 def _normalise(vectors: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.asarray(vectors / np.maximum(length, 1e-12))
+    return np.asarray(vectors / np.maximum(length, ROTATION.min_length))

@@ -18,6 +18,7 @@ class RotationSettings:
     trials: int = 64  # rotations from two points each that are tried
     # px of frames with a longer side of 640 px: distance of a point that counts as an inlier
     inlier_pixels: float = 3.0
+    min_length: float = 1e-12  # of the sum or the product of two unit rays: rounding of float64
     rounds: int = 10  # reweighted rounds of the fit of one rotation
     # adjustment
     outlier_pixels: float = 1.0  # px of 640: larger residuals have a decreasing weight
