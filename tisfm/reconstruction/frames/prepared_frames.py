@@ -170,8 +170,10 @@ class PreparedFrames:
         return sorted(number for number, state in self._states.items() if state.is_provisional)
 
     def ignore(self, mask: np.ndarray) -> None:
-        """Ignore more pixels, (H, W) bool, in all frames."""
-        self._flow_cache = None
+        """Ignore more pixels, (H, W) bool, in all frames.
+
+        The image motion that was computed before stays: filled pixels have no motion of their own.
+        """
         for number in range(self.count):
             ignored = self.ignored(number)
             ignored = mask if ignored is None else ignored | mask
