@@ -118,7 +118,14 @@ def test_other_cells_are_unchanged():
 
 def test_the_table_of_a_run_quotes_names_and_messages(work_folder):
     record = RunRecord(work_folder, {})
-    about = {"number": 0, "status": "uncertain", "message": "=cmd|' /C calc'!A0", "twists": None}
+    about = {
+        "number": 0,
+        "status": "uncertain",
+        "message": "=cmd|' /C calc'!A0",
+        "twists": None,
+        "grade": "poor",
+        "depth_error": 0.2,
+    }
     record.record_time("=1+1", 0.5)
     record.finish("=1+1", about, {})
     record.write()
