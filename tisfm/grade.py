@@ -44,7 +44,7 @@ COLORS = {
 
 # Statuses that say that pose or depth are wrong.
 _WRONG = ("contradicted", "diverged", "pose_mismatch", "behind_camera", "unexplained", "unrelated")
-# Those that say nothing of a pose: without depth, nothing is wrong.
+# Wrong statuses of frames without a pose: such a frame without depth is not contradicted.
 _WRONG_DEPTH = ("diverged", "unrelated")
 # Statuses that do not say that depth is doubtful.
 _RIGHT = ("converged", "iteration_limit")

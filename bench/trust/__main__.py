@@ -191,7 +191,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 records[case.name] = record
                 write_results(path, page(), {"code": digest, "cases": list(records.values())})
 
-        for is_known in (False, True):  # what was never run comes first
+        for is_known in (False, True):  # cases without a result come first
             run_cases([c for c in waiting if (c.name in known) == is_known], options, keep)
     write_results(path, page(), {"code": digest, "cases": list(records.values())})
     chosen = [records[case.name] for case in cases if case.name in records]

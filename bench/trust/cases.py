@@ -52,14 +52,14 @@ class Case:
 
     @property
     def kind(self) -> str:
-        """What is wrong on purpose; "clean" for nothing."""
+        """The fault of the input, by name; "clean" for an input without a fault."""
         if self.disturbance.kind != "clean":
             return self.disturbance.kind
         return "clean" if FOCALS[self.focal] in (1.0, None) else "focal"
 
     @property
     def is_clean(self) -> bool:
-        """Whether nothing is wrong with the input: it should be right and green."""
+        """Whether the input has no fault: its result should be right and green."""
         hard = ("tiles", "sparse", "mirror", "tum_fr1_rpy", "kitti_cars")
         return self.kind == "clean" and not self.focal and not self.scene.startswith(hard)
 

@@ -53,7 +53,7 @@ class Errors:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """What is wrong."""
+        """Names of the errors beyond their limits."""
         limits = {
             "rotation": MAX_ROTATION, "path": MAX_PATH, "direction": MAX_DIRECTION,
             "depth": MAX_DEPTH,

@@ -23,7 +23,7 @@ def record(tmp_path):
 
 
 def test_a_pair_that_is_finished_again_counts_once(record):
-    assert record.errors == [0.05, 0.2]  # those of contradicted depth say nothing
+    assert record.errors == [0.05, 0.2]  # errors of contradicted depth are left out
     record.finish("b", entry(1, "converged", "good", 0.02), {})
     assert record.errors == [0.02, 0.05] and record.statuses["uncertain"] == 0
     record.finish("a", entry(0, "unexplained", "contradicted", 0.05), {})

@@ -1,4 +1,4 @@
-"""A camera that only turns: orientations, the focal length, and what is no rotation."""
+"""A camera that only turns: orientations, the focal length, and refused motions."""
 
 from dataclasses import replace
 

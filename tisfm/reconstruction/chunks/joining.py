@@ -63,7 +63,7 @@ class ChunkResult:
         return int(self.result.piece[self.frames[index]]) if index in self.frames else -1
 
     def knowledge(self, index: int) -> int:
-        """Return what is known of a frame: 0 nothing, 1 its orientation, 2 its pose."""
+        """Return 2 for a frame with a pose, 1 for one with an orientation only, 0 for others."""
         piece = self.piece(index)
         if piece < 0:
             return 0

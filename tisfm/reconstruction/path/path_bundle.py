@@ -29,7 +29,7 @@ def bundle_of(
     path: CameraPath,
     frames: Sequence[int],  # frames of the largest piece
     shape: tuple[int, int],  # height and width of the frames, px
-    observations: Sequence[Observations] | None = None,  # by frame; by default those of the path
+    observations: Sequence[Observations] | None = None,  # by frame; by default of the path
 ) -> TrackBundle:
     """Return the tracks of the largest piece of a path in some of its frames."""
     return TrackBundle.from_piece(
