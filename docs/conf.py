@@ -63,6 +63,9 @@ def _entry(module: str, name: str, line: str) -> str:
     value = getattr(import_module(module), name)
     if inspect.isclass(value):
         members = "" if issubclass(value, Exception) else "\n   :members:"
+        # members of base classes of our own belong to the page as well
+        if members and any(base.__module__.startswith("tisfm.") for base in value.__mro__[1:]):
+            members += "\n   :inherited-members: object"
         return f".. autoclass:: {module}.{name}{members}\n"
     if inspect.isfunction(value):
         return f".. autofunction:: {module}.{name}\n"

@@ -21,7 +21,7 @@ from bench.sequences.rendered_films import CACHE, circle_path, path_error, poses
 from bench.shared.command import options_parser
 from bench.shared.results import RESULTS, Table, machine, markdown_page, write_results
 from tisfm import runtime
-from tisfm.reconstruction.progress import DepthOf
+from tisfm.reconstruction.stages.progress import DepthOf
 from tisfm.scenes import room_film
 from tisfm.settings import Preset
 

@@ -10,9 +10,11 @@ import pytest
 import tisfm
 from tisfm.grade import Grade, GradeSummary
 from tisfm.metrics import absolute_errors
-from tisfm.reconstruction.calibration import camera_adjustment
-from tisfm.reconstruction.calibration.camera_adjustment import TrackBundle, adjust_camera
+from tisfm.reconstruction.calibration.bundle_residuals import BundleState, linearise
+from tisfm.reconstruction.calibration.camera_adjustment import adjust_camera, measure_cost
+from tisfm.reconstruction.calibration.normal_equations import reduce_equations
 from tisfm.reconstruction.calibration.source_camera import add_radial
+from tisfm.reconstruction.calibration.track_bundle import TrackBundle
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import FocalEstimate, Piece
 from tisfm.reconstruction.path import camera_revision
@@ -94,23 +96,23 @@ def test_prior_of_the_zoom_is_part_of_the_cost():
     """The derivative of the cost is the gradient of the normal equations."""
     tracks = bundle(np.zeros(8))
     zoom = 1e-3 * np.array([0, 1, -1, 2, 0.5, 3, -2, 1])
-    state = camera_adjustment._State(
+    state = BundleState(
         poses=tracks.poses, points=tracks.points, common=np.r_[np.log(FOCAL), np.zeros(4)],
         zoom=zoom, removed_zoom=2e-3 * np.arange(8) ** 2,
     )  # fmt: skip
-    deviation = camera_adjustment._linearise(tracks, state).weighting_deviation
+    deviation = linearise(tracks, state).weighting_deviation
 
     def cost(zoom):
         moved = replace(state, zoom=zoom)
-        linear = camera_adjustment._linearise(tracks, moved)
-        return camera_adjustment._total_cost(tracks, moved, linear, 3.0, deviation)
+        linear = linearise(tracks, moved)
+        return measure_cost(tracks, moved, linear, 3.0, deviation)
 
     step = 1e-6
     slopes = [(cost(zoom + step * e) - cost(zoom - step * e)) / (2 * step) for e in np.eye(8)]
-    linear = camera_adjustment._linearise(tracks, state)
+    linear = linearise(tracks, state)
     is_free = np.zeros(7 * 8 + 5, bool)
     is_free[48:56] = True
-    reduced = camera_adjustment._reduce(tracks, state, linear, is_free, 3.0)
+    reduced = reduce_equations(tracks, state, linear, is_free, 3.0)
     eliminated = reduced.coupling @ reduced.inverse_points @ reduced.point_gradient
     np.testing.assert_allclose(
         slopes, 2 * deviation**2 * (reduced.gradient + eliminated), rtol=1e-4, atol=1e-2

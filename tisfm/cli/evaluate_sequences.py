@@ -34,7 +34,7 @@ from tisfm.evaluation.sequences import (
 )
 from tisfm.folders.result_folder import InputFiles, make_result_folder
 from tisfm.formats import atomic_write
-from tisfm.reconstruction.progress import Progress
+from tisfm.reconstruction.stages.progress import Progress
 from tisfm.settings import Settings
 from tisfm.trajectory import read_trajectory, write_tum
 from tisfm.trajectory.times import times_or_numbers

@@ -28,7 +28,7 @@ from tisfm.formats import atomic_write
 from tisfm.formats.csv_table import csv_table
 from tisfm.grade import percent, upper_median
 from tisfm.machine.text import as_duration, as_size, printable
-from tisfm.reconstruction.progress import Stage
+from tisfm.reconstruction.stages.progress import Stage
 from tisfm.running.pair_writer import PairWriter
 
 STAGES: dict[Stage, str] = {"reading": "reading, tracking", "path": "path", "depth": "depth"}

@@ -39,10 +39,10 @@ from tisfm.fusion.mesh import check_scikit_image
 from tisfm.machine.text import as_size
 from tisfm.reconstruction.chunks.chunk import DEFAULT_CHUNK
 from tisfm.reconstruction.chunks.runs import ChunksRun, ReconstructRun, WholeRun
-from tisfm.reconstruction.progress import DepthOf, FixedPixels, Stage, StopReading
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.reconstruction.result.summary import describe_poses
+from tisfm.reconstruction.stages.progress import DepthOf, FixedPixels, Stage, StopReading
 from tisfm.report import check_report
 from tisfm.running.pairs import FrameSelection
 from tisfm.running.pool import check_workers

@@ -23,7 +23,7 @@ from tisfm.metrics import (
     path_length,
     relative_errors,
 )
-from tisfm.reconstruction.progress import Progress
+from tisfm.reconstruction.stages.progress import Progress
 from tisfm.settings import Settings
 
 LONG_STEP = 10  # frames: distance for `relative_step`; set by hand

@@ -16,13 +16,13 @@ from tisfm.camera_file import camera_file_path, read_camera
 from tisfm.checks import check_pose_count, refuse_masked
 from tisfm.errors import InputError, InputTypeError
 from tisfm.reconstruction.path.given_poses import poses_of_frames
-from tisfm.reconstruction.progress import DepthOf, FixedPixels, Progress, ReportDepth
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.earlier_labels import find_result_labels
 from tisfm.reconstruction.result.folder import CACHE
 from tisfm.reconstruction.result.moving_object import check_object_sizes
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.reconstruction.result.renewal import TemporaryFolder, renewed_folder
+from tisfm.reconstruction.stages.progress import DepthOf, FixedPixels, Progress, ReportDepth
 from tisfm.settings import Settings
 from tisfm.sources import BadFrames, FrameSource, Source
 from tisfm.sources.frame_reader import warn_notes
@@ -238,7 +238,8 @@ def reconstruct(
     if folder is None:
         temporary = TemporaryFolder()
         folder = temporary.name
-    from tisfm.reconstruction.pipeline import Job, reconstruct_sequence
+    from tisfm.reconstruction.pipeline import reconstruct_sequence
+    from tisfm.reconstruction.stages.job import Job
 
     try:
         with renewed_folder(folder) as path:

@@ -21,10 +21,10 @@ from tests.reconstruction.films import along, path_error
 from tests.rendered import room_film
 from tisfm import Reconstruction
 from tisfm.camera_file import read_camera
-from tisfm.reconstruction import pipeline as run_module
 from tisfm.reconstruction.chunks.entry import ChunkedRun, reconstruct_in_chunks
 from tisfm.reconstruction.path.path_solver import PathSolver
 from tisfm.reconstruction.result.statuses import NEW_PIECE_NOTE
+from tisfm.reconstruction.stages import path as run_module
 
 
 @pytest.fixture(scope="module")

@@ -23,12 +23,12 @@ from tests.reconstruction.chunked.filmed import (
     write_frames,
 )
 from tisfm import Reconstruction
-from tisfm.reconstruction import pipeline as run_module
 from tisfm.reconstruction.chunks import chunk as chunk_module
 from tisfm.reconstruction.chunks import entry, joining
 from tisfm.reconstruction.chunks.entry import ChunkedRun, reconstruct_in_chunks
 from tisfm.reconstruction.result import folder as folder_module
 from tisfm.reconstruction.result.renewal import CHUNKS
+from tisfm.reconstruction.stages import depth as run_module
 from tisfm.sources import Listing
 
 

@@ -38,9 +38,13 @@ class CalibrationSettings:
     bundle_steps: int = 30  # largest number of steps of an adjustment
     bundle_tolerance: float = 1e-4  # relative change of the cost that ends the steps
     bundle_damping: float = 1e-3  # first damping of Levenberg and Marquardt
+    bundle_damping_factor: float = 10.0  # of the damping, from one step to the next
     min_bundle_deviation: float = 0.02  # px: smallest standard deviation of a coordinate
     # share of the trace that is added to the diagonal of the equations of a point
     min_point_stiffness: float = 1e-12
+    min_trace: float = 1e-30  # px²: added to that trace, so that a point without weight is regular
+    min_bundle_depth: float = 1e-6  # unit of the poses: smallest depth that a projection divides by
+    min_bundle_length: float = 1e-12  # unit of the poses: smallest distance that is divided by
     # observations of a track that share one error: they drift together
     correlated_observations: float = 4.0
     # logarithm per frame²: typical change of the zoom per frame; larger changes weigh less

@@ -23,9 +23,9 @@ from tisfm.formats import FormatError, atomic_write
 from tisfm.formats.reading import read_json
 from tisfm.reconstruction.chunks.settings import CHUNKING
 from tisfm.reconstruction.entry import reconstruct
-from tisfm.reconstruction.progress import DepthOf
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.request import files_below
+from tisfm.reconstruction.stages.progress import DepthOf
 from tisfm.running.pool import check_worker, sendable_error
 from tisfm.runtime import Arch
 from tisfm.settings import Settings

@@ -40,7 +40,6 @@ from tisfm.reconstruction.entry import (
     resolve_settings,
 )
 from tisfm.reconstruction.path.given_poses import poses_of_frames
-from tisfm.reconstruction.progress import DepthOf, FixedPixels, Progress, ReportDepth
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.reconstruction.result.renewal import CHUNKS, refuse_other_files, renewed_locked_folder
@@ -52,6 +51,7 @@ from tisfm.reconstruction.result.request import (
     request_digest,
     write_request,
 )
+from tisfm.reconstruction.stages.progress import DepthOf, FixedPixels, Progress, ReportDepth
 from tisfm.runtime import Arch
 from tisfm.settings import Settings
 from tisfm.sources import BadFrames, FrameSource, Source

@@ -12,7 +12,6 @@ from tisfm.folders.result_folder import locked_folder
 from tisfm.reconstruction.chunks.entry import ChunkedRun
 from tisfm.reconstruction.chunks.shared_camera import UnorderedMap
 from tisfm.reconstruction.entry import reconstruct
-from tisfm.reconstruction.progress import Progress, ReportDepth
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.reconstruction.result.renewal import CHUNKS
 from tisfm.reconstruction.result.request import (
@@ -23,6 +22,7 @@ from tisfm.reconstruction.result.request import (
     refuse_differing_request,
     write_request,
 )
+from tisfm.reconstruction.stages.progress import Progress, ReportDepth
 from tisfm.running.pairs import FrameSelection
 from tisfm.runtime import Arch
 from tisfm.sources import Source

@@ -12,11 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.calibration.camera_adjustment import (
-    COMMON,
-    AdjustedCamera,
-    adjust_camera,
-)
+from tisfm.reconstruction.calibration.bundle_residuals import COMMON
+from tisfm.reconstruction.calibration.camera_adjustment import AdjustedCamera, adjust_camera
 from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.mapping.models import ViewGraph
 from tisfm.reconstruction.mapping.settings import MAPPING

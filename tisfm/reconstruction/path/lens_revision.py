@@ -11,11 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.calibration.camera_adjustment import (
-    COMMON,
-    AdjustedCamera,
-    adjust_camera,
-)
+from tisfm.reconstruction.calibration.bundle_residuals import COMMON
+from tisfm.reconstruction.calibration.camera_adjustment import AdjustedCamera, adjust_camera
 from tisfm.reconstruction.mapping.solution import FocalEstimate
 from tisfm.reconstruction.path.path_bundle import (
     bundle_of,

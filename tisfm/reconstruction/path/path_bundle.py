@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tisfm.reconstruction.calibration.camera_adjustment import AdjustedCamera, TrackBundle
+from tisfm.reconstruction.calibration.camera_adjustment import AdjustedCamera
+from tisfm.reconstruction.calibration.track_bundle import TrackBundle
 from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.path.path_solver import CameraPath
 from tisfm.reconstruction.tracks.tracker import Observations

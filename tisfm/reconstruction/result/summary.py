@@ -6,11 +6,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.grade import GradeSummary
-from tisfm.reconstruction.result.calibration import (
-    Calibration,
-    describe_focal,
-    describe_zoom,
-)
+from tisfm.reconstruction.result.calibration import Calibration, describe_focal, describe_zoom
 from tisfm.status import Status
 
 

@@ -1,0 +1,64 @@
+"""The fourth stage: checks of the path and its depth against the image motion."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tisfm.reconstruction.causes.cause_search import CauseSearch
+from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
+from tisfm.reconstruction.path.path_solver import CameraPath
+from tisfm.reconstruction.path_checks.pieces import check_piece
+from tisfm.reconstruction.result.folder import depth_path, read_depth
+from tisfm.reconstruction.result.path_check import UNCHECKED, PathCheck
+from tisfm.reconstruction.stages.depth import DepthResult
+from tisfm.reconstruction.stages.job import Job
+from tisfm.status import Status
+
+
+def check_pieces(
+    job: Job, frames: PreparedFrames, path: CameraPath, depth: DepthResult
+) -> tuple[PathCheck, ...]:
+    """Check every piece of the path, and its depth, against the image motion."""
+
+    def static_pixels(frame: int) -> np.ndarray:
+        used_pixels = frames.used_pixels(frame)
+        return np.ones(frames.shape, bool) if used_pixels is None else used_pixels
+
+    def inverse_depth(frame: int) -> np.ndarray | None:
+        is_written = job.depth_of != "none" and depth_path(job.folder, frame).exists()
+        return read_depth(job.folder, frame, frames.shape)[0] if is_written else None
+
+    return tuple(
+        UNCHECKED
+        if piece.only_turns
+        else check_piece(
+            {frame: depth.poses[frame] for frame in piece.poses},
+            [frame for frame in depth.keyframes if frame in piece.poses],
+            path.observations,
+            frames.grey,
+            static_pixels,
+            inverse_depth,
+            frames.camera,
+        )
+        for piece in path.pieces
+    )
+
+
+def find_contradiction_causes(
+    frames: PreparedFrames, path: CameraPath, checks: Sequence[PathCheck]
+) -> dict[int, Status]:
+    """Return what hides the motion in contradicted pieces, by piece, if the images show it."""
+    search = CauseSearch(
+        observations=path.observations,
+        views=(),
+        matches={},
+        camera=frames.camera.pinhole(),
+        shape=frames.shape,
+        grey=lambda frame: frames.tracker_input(frame)[0],
+    )
+    causes = {
+        number: search.find_image_cause(sorted(piece.poses))
+        for number, (piece, check) in enumerate(zip(path.pieces, checks, strict=True))
+        if check.contradicts
+    }
+    return {number: cause for number, cause in causes.items() if cause is not None}

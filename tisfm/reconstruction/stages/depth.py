@@ -1,0 +1,150 @@
+"""The third stage: the depth of frames, in the scale of the path."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tisfm.grade import depth_error
+from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
+from tisfm.reconstruction.mapping.solution import Piece
+from tisfm.reconstruction.path.path_solver import CameraPath
+from tisfm.reconstruction.result.folder import write_depth
+from tisfm.reconstruction.result.statuses import NO_PARALLAX, ONLY_TURNS, add_piece_note
+from tisfm.reconstruction.stages.job import Job
+from tisfm.reconstruction.stages.reading import ReadingResult
+from tisfm.reconstruction.tracks.tracker import Observations
+from tisfm.reconstruction.tracks.triangulation import track_depths
+from tisfm.status import Status
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthResult:
+    """Poses in the unit of depth, after the depth of all frames was written."""
+
+    poses: np.ndarray  # (N, 4, 4) float64: camera to world; NaN for a frame without a pose
+    piece: np.ndarray  # (N,) int32: the piece of each frame, −1 for none
+    status: tuple[Status, ...]
+    keyframes: tuple[int, ...]
+    # (N,) float64: expected relative error of the depth of each frame, NaN without depth, and the
+    # share of good pixels, as `tisfm.grade.depth_error` returns them
+    error: np.ndarray
+    share: np.ndarray
+
+
+def find_depth(
+    job: Job,
+    reading: ReadingResult,
+    path: CameraPath,
+    focal_deviation: float,  # relative standard deviation of the focal length
+) -> DepthResult:
+    """Find and write the depth of frames, piece by piece; poses get the unit of the depth."""
+    count = len(reading.names)
+    poses = np.full((count, 4, 4), np.nan)
+    pieces = np.full(count, -1, np.int32)
+    status: list[Status] = [Status("converged")] * count
+    for frame, reason in path.missing.items():
+        status[frame] = reason
+    keyframes: list[int] = []
+    errors, shares = np.full(count, np.nan), np.zeros(count)
+    done = 0
+    for number, piece in enumerate(path.pieces):
+        if piece.only_turns:
+            origin = piece.poses[min(piece.poses)]
+            for frame, pose in piece.poses.items():
+                poses[frame], pieces[frame] = np.linalg.solve(origin, pose), number
+                status[frame] = ONLY_TURNS
+            done += len(piece.poses)
+            continue
+        piece = _adjust_poses(job, reading.frames, piece, path.observations)
+        kinds, unit, piece_errors = _write_piece_depth(
+            job, reading.frames, piece, path.observations, done, focal_deviation
+        )
+        for frame, (error, share) in piece_errors.items():
+            errors[frame], shares[frame] = error, share
+        is_without_depth = job.depth_of == "keyframes" and not kinds
+        done += len(piece.poses)
+        keyframes += [frame for frame, kind in kinds.items() if kind == "keyframe"]
+        origin = np.eye(4) if job.poses is not None else piece.poses[min(piece.poses)]
+        for frame, pose in piece.poses.items():
+            poses[frame], pieces[frame] = np.linalg.solve(origin, pose), number
+            poses[frame, :3, 3] /= unit
+            if frame not in kinds and (job.depth_of == "all" or is_without_depth):
+                status[frame] = NO_PARALLAX
+        if number > 0:
+            first = min(piece.poses)
+            status[first] = add_piece_note(status[first])
+    return DepthResult(
+        poses=poses,
+        piece=pieces,
+        status=tuple(status),
+        keyframes=tuple(sorted(keyframes)),
+        error=errors,
+        share=shares,
+    )
+
+
+def _adjust_poses(
+    job: Job, frames: PreparedFrames, piece: Piece, observations: Sequence[Observations]
+) -> Piece:
+    """Return the piece with poses adjusted to the images, if the settings ask for accuracy."""
+    from tisfm.reconstruction.depth.pose_adjustment import adjust_poses
+    from tisfm.reconstruction.depth.segment_depth import PieceDepths, depth_effort
+
+    if job.poses is not None or depth_effort(job.settings) != "accurate":
+        return piece
+    windows = PieceDepths(
+        frames, piece, observations, job.settings, effort="fast"
+    ).keyframe_windows()
+    poses = adjust_poses(piece.poses, windows, frames.grey, frames.camera, job.settings)
+    return replace(piece, poses=poses)
+
+
+def _write_piece_depth(
+    job: Job,
+    frames: PreparedFrames,
+    piece: Piece,
+    observations: Sequence[Observations],
+    done: int,  # number of frames of earlier pieces
+    focal_deviation: float,  # relative standard deviation of the focal length
+) -> tuple[dict[int, str], float, dict[int, tuple[float, float]]]:
+    """Write the depth of a piece's frames.
+
+    Returns the kind of each frame, "keyframe" or "between"; the unit; and `depth_error` of each
+    frame.
+    """
+    if job.depth_of == "none":
+        return {}, _find_median_track_depth(piece, observations), {}
+    from tisfm.reconstruction.depth.segment_depth import PieceDepths, depth_effort, median_depth
+
+    depths = PieceDepths(
+        frames,
+        piece,
+        observations,
+        job.settings,
+        effort=depth_effort(job.settings),
+        written_until=max(piece.poses) if job.depth_of == "keyframes" else -1,
+    )
+    kinds: dict[int, str] = {}
+    errors: dict[int, tuple[float, float]] = {}
+    unit = 1.0
+    for depth in depths:
+        if not kinds and job.poses is None:
+            unit = median_depth(depth.inverse_depth)
+        write_depth(job.folder, depth.frame, depth.inverse_depth * unit, depth.deviation * unit)
+        errors[depth.frame] = depth_error(depth.inverse_depth, depth.deviation, focal_deviation)
+        job.report_depth(depth.frame, errors[depth.frame][0])
+        kinds[depth.frame] = "keyframe" if depth.frame in depths.keyframes else "between"
+        job.progress("depth", done + len(kinds), len(observations))
+    if not kinds and job.poses is None:
+        unit = _find_median_track_depth(piece, observations)
+    return kinds, unit, errors
+
+
+def _find_median_track_depth(piece: Piece, observations: Sequence[Observations]) -> float:
+    """Return the median depth of tracks in the first frame of a piece with tracks, or 1."""
+    for frame, pose in piece.poses.items():
+        _, depths = track_depths(observations[frame], piece.points, pose)
+        if len(depths):
+            return float(np.median(depths))
+    return 1.0

@@ -1,0 +1,96 @@
+"""The last stage: the files of the result."""
+
+import numpy as np
+
+from tisfm.camera_file import FILE_NAME as CAMERA
+from tisfm.camera_file import write_camera
+from tisfm.grade import depth_error
+from tisfm.reconstruction.path.path_solver import CameraPath
+from tisfm.reconstruction.result.calibration import Calibration, as_json
+from tisfm.reconstruction.result.folder import read_depth, write_mask, write_record
+from tisfm.reconstruction.result.moving_object import MovingObject
+from tisfm.reconstruction.result.path_check import PathCheck
+from tisfm.reconstruction.result.reconstruction import Reconstruction
+from tisfm.reconstruction.result.statuses import mark_contradicted, mark_uncertain
+from tisfm.reconstruction.stages.checks import find_contradiction_causes
+from tisfm.reconstruction.stages.depth import DepthResult
+from tisfm.reconstruction.stages.job import Job
+from tisfm.reconstruction.stages.path import PathResult
+from tisfm.reconstruction.stages.reading import ReadingResult
+from tisfm.version import __version__
+
+
+def write_result(
+    job: Job,
+    reading: ReadingResult,
+    path_result: PathResult,
+    calibration: Calibration,
+    depth: DepthResult,
+    checks: tuple[PathCheck, ...],
+) -> Reconstruction:
+    """Write the camera, the moving objects with their depth, and then the record."""
+    about = as_json(calibration)
+    del about["shape"]  # the camera file already has the width and the height
+    write_camera(job.folder / CAMERA, path_result.camera, reading.camera.shape, about=about)
+    objects: tuple[MovingObject, ...] = ()
+    errors, shares = depth.error.copy(), depth.share.copy()
+    if job.has_objects:
+        from tisfm.reconstruction.objects.object_depth import objects_with_depth
+
+        objects = objects_with_depth(
+            reading.frames,
+            job.folder,
+            *_known_positions(path_result.path, depth),
+            job.settings,
+            with_depth=job.depth_of != "none",
+            sizes=job.object_sizes,
+        )
+        for frame in {frame for obj in objects for frame in obj.frames}:
+            if not np.isnan(errors[frame]):  # objects changed its depth
+                depth_of_frame = read_depth(job.folder, frame, reading.frames.shape)
+                errors[frame], shares[frame] = depth_error(
+                    *depth_of_frame, calibration.relative_focal_std
+                )
+    result = Reconstruction(
+        poses=depth.poses,
+        piece=depth.piece,
+        unit=(1.0,) * len(path_result.path.pieces),
+        status=mark_uncertain(
+            mark_contradicted(
+                depth.status,
+                depth.piece.tolist(),
+                checks,
+                find_contradiction_causes(reading.frames, path_result.path, checks),
+                path_result.path.objection,
+            ),
+            errors,
+        ),
+        depth_error=errors,
+        depth_share=shares,
+        checks=checks,
+        keyframes=depth.keyframes,
+        camera=reading.frames.camera,
+        calibration=calibration,
+        zoom=path_result.zoom,
+        settings=job.settings,
+        names=reading.names,
+        times=reading.times,
+        skipped=tuple(job.source.skipped),
+        notes=reading.notes,
+        shape=reading.frames.shape,
+        folder=job.folder,
+        version=__version__,
+        objects=objects,
+    )
+    if path_result.fixed_pixels is not None:
+        write_mask(job.folder, path_result.fixed_pixels)
+    write_record(job.folder, result)
+    return result
+
+
+def _known_positions(path: CameraPath, depth: DepthResult) -> tuple[np.ndarray, np.ndarray]:
+    """Return the poses and the pieces of frames, NaN and −1 where the camera only turns."""
+    turning = [number for number, piece in enumerate(path.pieces) if piece.only_turns]
+    is_unknown = np.isin(depth.piece, turning)
+    poses = np.where(is_unknown[:, None, None], np.nan, depth.poses)
+    return poses, np.where(is_unknown, np.int32(-1), depth.piece)
