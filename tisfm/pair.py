@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -15,7 +15,7 @@ from tisfm.frames import check_frame
 from tisfm.interpretation import Interpretation
 from tisfm.prepared_pair import ignored_pixels, prepare_pair
 from tisfm.rigid import check_pose
-from tisfm.settings import Settings, check_settings
+from tisfm.settings import FixedPixels, Settings, check_fixed_pixels, check_settings
 from tisfm.status import History, Status
 from tisfm.version import __version__
 from tisfm.visibility.confidence import confidence
@@ -25,7 +25,6 @@ from tisfm.window import Window
 if TYPE_CHECKING:
     from tisfm.solver.image_pyramid import ImagePyramid
 
-FixedPixels = Literal["mask", "keep"]
 ENERGY_OVERFLOW = Status(
     "diverged",
     "the energy grew beyond what single precision can hold: bring the frames to the 8-bit scale",
@@ -133,8 +132,7 @@ def interpret(
     >>> str(still.status)
     'no_motion'
     """
-    if fixed_pixels not in get_args(FixedPixels):
-        raise InputError(f'fixed_pixels is {fixed_pixels!r}: expected "mask" or "keep"')
+    check_fixed_pixels(fixed_pixels)
     ignored = None
     if mask is not None:
         ignored = ignored_pixels(mask, check_frame(frame0, "frame0").shape[:2])

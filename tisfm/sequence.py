@@ -17,7 +17,7 @@ from tisfm.interpretation import Interpretation
 from tisfm.running.pair_chunks import check_sharable, interpret_with_workers, refuse_float_frames
 from tisfm.running.pairs import FrameSelection, PairSource, attach_poses
 from tisfm.running.pool import check_workers
-from tisfm.settings import Settings, check_settings
+from tisfm.settings import FixedPixels, Settings, check_fixed_pixels, check_settings
 from tisfm.sources import BadFrames, FramePair, FrameSource, Source
 from tisfm.sources.frame_reader import warn_notes
 from tisfm.sources.masks import Mask
@@ -37,6 +37,7 @@ def interpret_sequence(
     bad_frames: BadFrames = "raise",
     poses: Iterable[npt.ArrayLike] | None = None,
     mask: Mask | None = None,
+    fixed_pixels: FixedPixels = "mask",
     window: WindowSize = 2,
     workers: int = 1,
 ) -> Iterator[Interpretation]:
@@ -77,6 +78,8 @@ def interpret_sequence(
         skipped frames included: a folder, a glob pattern, a list of files, an (N, H, W) array, or
         any iterable of (H, W) arrays. Masks have the size of the frames before cropping and
         shrinking.
+    fixed_pixels : {"mask", "keep"}
+        As for `tisfm.interpret`.
     window : {2, 3}
         Number of frames for one interpretation: the pair, or, for ``motion="field"``, also the
         previous frame. A point that is hidden in the second frame of a pair is mostly visible in
@@ -105,9 +108,10 @@ def interpret_sequence(
         At once if the source does not exist or has fewer than two frames; if poses are given for a
         motion that is not ``"camera"``, or together with ``bad_frames="skip"``, or their number is
         not that of the pairs; if masks do not exist, or their number is not that of the frames; if
-        `window` is not 2 or 3, or is 3 for a motion that is not ``"field"``; or if several workers
-        cannot share the source. While iterating, if a frame or its mask cannot be read, if poses or
-        masks end too early, or as `tisfm.interpret`, with the names of the frames.
+        `fixed_pixels` is another word; if `window` is not 2 or 3, or is 3 for a motion that is not
+        ``"field"``; or if several workers cannot share the source. While iterating, if a frame or
+        its mask cannot be read, if poses or masks end too early, or as `tisfm.interpret`, with the
+        names of the frames.
 
     Examples
     --------
@@ -137,11 +141,12 @@ def interpret_sequence(
             f'poses are given, but motion="{settings.motion}" leaves the motion free: leave them '
             "out"
         )
+    check_fixed_pixels(fixed_pixels)
     check_workers(workers)
     previous_pairs = make_window(window, settings)
     if workers == 1:
         return _interpret_pairs(
-            frames, attach_poses(frames, poses), camera, settings, previous_pairs
+            frames, attach_poses(frames, poses), camera, settings, previous_pairs, fixed_pixels
         )
     if previous_pairs is not None:
         raise InputError(
@@ -161,7 +166,7 @@ def interpret_sequence(
         mask=None if mask is None else os.fspath(mask),
         motions=None if poses is None else [np.asarray(pose) for pose in poses],
     )
-    return _interpret_in_workers(pair_source, camera, workers)
+    return _interpret_in_workers(pair_source, camera, workers, fixed_pixels)
 
 
 def _interpret_pairs(
@@ -170,6 +175,7 @@ def _interpret_pairs(
     camera: Camera | None,
     settings: Settings,
     window: Window | None,
+    fixed_pixels: FixedPixels,
 ) -> Iterator[Interpretation]:
     warned_count, is_first = 0, True
     focal_deviation = _focal_deviation(camera, settings)
@@ -178,7 +184,9 @@ def _interpret_pairs(
             warned_count = _warn_of_skipped(source, warned_count)
             if is_first:
                 camera = _camera_of_prepared_frames(source, pair, camera, settings)
-            result = pair.interpret(camera=camera, settings=settings, window=window)
+            result = pair.interpret(
+                camera=camera, settings=settings, window=window, fixed_pixels=fixed_pixels
+            )
             result = replace(result, focal_deviation=focal_deviation)
             camera, is_first = camera or result.camera, False  # the guess of the first pair is kept
             del pair  # frees its first frame before the next frame is read
@@ -188,7 +196,7 @@ def _interpret_pairs(
 
 
 def _interpret_in_workers(
-    source: PairSource, camera: Camera | None, workers: int
+    source: PairSource, camera: Camera | None, workers: int, fixed_pixels: FixedPixels
 ) -> Iterator[Interpretation]:
     """Interpret the first pair in this process, to find the camera, and the others in workers."""
     frames, pairs = source.open()
@@ -198,19 +206,26 @@ def _interpret_in_workers(
         refuse_float_frames(first_pair)
         warned_count = _warn_of_skipped(frames, 0)
         camera = _camera_of_prepared_frames(frames, first_pair, camera, source.settings)
-        result = first_pair.interpret(camera=camera, settings=source.settings)
+        result = first_pair.interpret(
+            camera=camera, settings=source.settings, fixed_pixels=fixed_pixels
+        )
         camera, number = camera or result.camera, source.number(first_pair) + 1
         del first_pair
         yield replace(result, focal_deviation=focal_deviation)
         del result
         if number >= len(frames):  # a video may have more frames than its header says
             for pair in pairs:
-                result = pair.interpret(camera=camera, settings=source.settings)
+                result = pair.interpret(
+                    camera=camera, settings=source.settings, fixed_pixels=fixed_pixels
+                )
                 yield replace(result, focal_deviation=focal_deviation)
             _warn_of_skipped(frames, warned_count)
             return
     warned_reasons = {reason for _, reason in frames.skipped[:warned_count]}
-    for outcome in interpret_with_workers(source, camera=camera, workers=workers, first=number):
+    outcomes = interpret_with_workers(
+        source, camera=camera, workers=workers, first=number, fixed_pixels=fixed_pixels
+    )
+    for outcome in outcomes:
         if isinstance(outcome, Interpretation):
             yield replace(outcome, focal_deviation=focal_deviation)
         elif outcome not in warned_reasons:

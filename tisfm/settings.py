@@ -13,6 +13,8 @@ Motion = Literal["field", "camera", "objects"]
 Derivatives = Literal["cube", "five_tap"]
 Solver = Literal["cholesky", "closed_form"]
 Preset = Literal["paper", "fast", "balanced", "accurate"]
+FixedPixels = Literal["mask", "keep"]
+"""Whether pixels that are fixed on the sensor, such as a logo, are masked."""
 
 PAPER_SMOOTHNESS = 1e8 / 600**2  # the paper's λ = 1e8 at its f = 600, as λ̂ = λ/f²
 # Bounds of weights and scales. Within them, products of several settings with grey levels and
@@ -318,6 +320,12 @@ def check_settings(settings: Settings | None) -> Settings:
             'for instance Settings.preset("accurate")'
         )
     return settings
+
+
+def check_fixed_pixels(fixed_pixels: FixedPixels) -> None:
+    """Raise InputError unless the word says whether fixed pixels are masked."""
+    if fixed_pixels not in get_args(FixedPixels):
+        raise InputError(f'fixed_pixels is {fixed_pixels!r}: expected "mask" or "keep"')
 
 
 def _check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:

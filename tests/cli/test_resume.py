@@ -68,9 +68,10 @@ def test_without_resume_all_pairs_are_interpreted_again(tisfm_run, frames, monke
 @pytest.mark.parametrize(
     "options",
     nightly_except(
-        ["--focal", "50"], ["--preset", "fast"], ["--figures", "2"],
+        ["--focal", "50"], ["--fixed-pixels", "keep"], ["--figures", "2"],
         of=[["--focal", "50"], ["--preset", "fast"], ["--beta", "0.5"], ["--center", "3", "4"],
-            ["--distortion", "0.1,0,0,0"], ["--focal", "guess"], ["--figures", "2"], ["--ply"]],
+            ["--distortion", "0.1,0,0,0"], ["--focal", "guess"], ["--figures", "2"], ["--ply"],
+            ["--fixed-pixels", "keep"]],
     ),
     ids=" ".join,
 )  # fmt: skip
@@ -99,7 +100,7 @@ def test_a_record_of_another_format_is_refused_everywhere(tisfm_run, frames):
     assert tisfm_run(*PLAIN, "--flo")[0] == 0
     path = Path("out", "run.json")
     about = json.loads(path.read_text())
-    assert about.pop("format") == 3
+    assert about.pop("format") == 4
     del about["source"]
     path.write_text(json.dumps(about))
     for call in (
@@ -108,7 +109,7 @@ def test_a_record_of_another_format_is_refused_everywhere(tisfm_run, frames):
         ("export", "out", "--to", "depth-tiff", "-o", "o"),
     ):
         code, _, err = tisfm_run(*call)
-        assert_one_line(code, err, "run.json is of format 1", "reads format 3: run anew")
+        assert_one_line(code, err, "run.json is of format 1", "reads format 4: run anew")
     with pytest.raises(FormatError, match=r"format 1, .*run anew"):
         open_result(Path("out"))
     assert tisfm_run(*PLAIN)[0] == 0

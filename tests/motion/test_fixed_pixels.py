@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 
 import tisfm
+import tisfm.pair as pair_module
 from tests.rendered import static_scene
 from tisfm.errors import InputError
 from tisfm.motion import camera as camera_module
 from tisfm.motion.fixed_pixels import find_fixed_pixels
+from tisfm.running.pairs import PairWork
+from tisfm.sources import FrameSource
 
 HEIGHT, WIDTH = 96, 128
 
@@ -76,6 +79,31 @@ def test_a_pair_with_a_bonnet():
     assert "fixed" not in result(fixed_pixels="keep").status.message
     with pytest.raises(InputError, match="fixed_pixels is 'yes'"):
         result(fixed_pixels="yes")
+
+
+def test_a_sequence_and_a_run_keep_fixed_pixels_if_asked(monkeypatch):
+    """The word reaches every pair, with and without masks and a window of three frames."""
+    words = []
+
+    def interpret(frame0, frame1, *, fixed_pixels, **options):
+        words.append(fixed_pixels)
+        return two_frames
+
+    frames = [static_scene("sideways", 30, 40).frame0] * 3
+    camera, settings = tisfm.Camera(40.0), tisfm.Settings.preset("fast")
+    two_frames = tisfm.interpret(*frames[:2], camera=camera, settings=settings)
+    for name in ("interpret", "interpret_pair"):
+        monkeypatch.setattr(pair_module, name, interpret)
+    options = {"camera": camera, "settings": settings}
+    for extra in ({}, {"mask": np.eye(30, 40) == 0}, {"window": 3}):
+        list(tisfm.interpret_sequence(frames, fixed_pixels="keep", **options, **extra))
+    assert words == ["keep"] * 6
+    (pair, _) = FrameSource(frames)
+    PairWork(**options, fixed_pixels="keep").interpret(pair)
+    PairWork(**options).interpret(pair)
+    assert words[6:] == ["keep", "mask"]
+    with pytest.raises(InputError, match="fixed_pixels is 'yes'"):
+        tisfm.interpret_sequence(frames, fixed_pixels="yes")
 
 
 def test_a_grey_logo_under_changing_light_is_found():

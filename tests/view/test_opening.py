@@ -87,7 +87,7 @@ def test_a_reconstruction_is_readable_while_it_is_replaced(tmp_path):
     assert result.refresh() == "replaced" and result.names[0] == "another"
 
 
-RECORD = json.dumps({"format": 3, "version": "1", "settings": {"motion": "field"}, "pairs": {}})
+RECORD = json.dumps({"format": 4, "version": "1", "settings": {"motion": "field"}, "pairs": {}})
 
 
 @pytest.mark.parametrize(

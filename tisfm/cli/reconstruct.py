@@ -42,12 +42,12 @@ from tisfm.reconstruction.chunks.runs import ChunksRun, ReconstructRun, WholeRun
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.reconstruction.result.summary import describe_poses
-from tisfm.reconstruction.stages.progress import DepthOf, FixedPixels, Stage, StopReading
+from tisfm.reconstruction.stages.progress import DepthOf, Stage, StopReading
 from tisfm.report import check_report
 from tisfm.running.pairs import FrameSelection
 from tisfm.running.pool import check_workers
 from tisfm.runtime import Arch, SoftwareVulkanWarning
-from tisfm.settings import Preset, Settings
+from tisfm.settings import FixedPixels, Preset, Settings
 from tisfm.sources import Source
 from tisfm.sources.webcam import webcam_number
 from tisfm.trajectory import Trajectory, read_trajectory, write_kitti, write_tum

@@ -18,7 +18,7 @@ from tisfm.running.pair_files import DEFAULT_OUTPUTS, check_outputs
 from tisfm.running.pair_writer import PairWriter
 from tisfm.running.sequence_run import SequenceRun
 from tisfm.runtime import Arch, SoftwareVulkanWarning
-from tisfm.settings import Preset
+from tisfm.settings import FixedPixels, Preset
 from tisfm.window import WindowSize
 
 Output = Literal["depth", "depth16", "flow", "anaglyph", "figure", "ply", "pose", "npz"]
@@ -50,6 +50,9 @@ class Run:
     numbers for every frame of SOURCE, as in KITTI: the rows of (R | t), camera to world."""
     mask: Annotated[str | None, arg(metavar="MASK")] = None
     """A picture, or a folder with a picture for every frame: black pixels are ignored."""
+    fixed_pixels: FixedPixels = "mask"
+    """With --motion camera, pixels that stay at rest while the camera moves, such as a bonnet, a
+    logo or a caption: mask ignores them; keep uses them."""
     window: WindowSize = 2
     """Frames that an interpretation uses: 2 is the pair; 3 adds the frame before it, for --motion
     field."""
@@ -108,6 +111,7 @@ class Run:
                 frames=self.frames.selection(),
                 poses=self.poses,
                 mask=self.mask,
+                fixed_pixels=self.fixed_pixels,
                 window=self.window,
                 resume=self.resume,
                 outputs=self._outputs(),

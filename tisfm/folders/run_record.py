@@ -21,11 +21,11 @@ from tisfm.trajectory.times import time_fault
 
 RECORD = "run.json"
 TABLE = "run.csv"
-FORMAT = 3  # version of the format of `RECORD`
+FORMAT = 4  # version of the format of `RECORD`
 # A run can be resumed only if these entries are equal.
 REQUEST_KEYS = (
-    "version", "arch", "lanes", "camera", "source", "settings", "window", "outputs", "figures",
-    "start", "step", "disparity", "screen",
+    "version", "arch", "lanes", "camera", "source", "settings", "window", "fixed_pixels",
+    "outputs", "figures", "start", "step", "disparity", "screen",
 )  # fmt: skip
 ENDINGS = {
     "depth": "_depth.png",

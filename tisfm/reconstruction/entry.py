@@ -22,8 +22,8 @@ from tisfm.reconstruction.result.folder import CACHE
 from tisfm.reconstruction.result.moving_object import check_object_sizes
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.reconstruction.result.renewal import TemporaryFolder, renewed_folder
-from tisfm.reconstruction.stages.progress import DepthOf, FixedPixels, Progress, ReportDepth
-from tisfm.settings import Settings
+from tisfm.reconstruction.stages.progress import DepthOf, Progress, ReportDepth
+from tisfm.settings import FixedPixels, Settings, check_fixed_pixels
 from tisfm.sources import BadFrames, FrameSource, Source
 from tisfm.sources.frame_reader import warn_notes
 from tisfm.sources.labels import LabelSource, are_labels, refuse_label_values
@@ -183,8 +183,7 @@ def reconstruct(
     calibrate = resolve_calibrate(calibrate, is_known=camera is not None or poses is not None)
     if depth_of not in get_args(DepthOf):
         raise InputError(f'depth_of is {depth_of!r}: expected "all", "keyframes" or "none"')
-    if fixed_pixels not in get_args(FixedPixels):
-        raise InputError(f'fixed_pixels is {fixed_pixels!r}: expected "mask" or "keep"')
+    check_fixed_pixels(fixed_pixels)
     if depth_of == "none" and poses is not None:
         raise InputError(
             'poses are given and depth_of="none": nothing is left to compute; leave one of them out'

@@ -21,6 +21,7 @@ from tisfm.running.pair_files import Checksums, Ranges
 from tisfm.running.pairs import PairSource, PairWork
 from tisfm.running.pool import check_worker, open_pool, sendable_error
 from tisfm.runtime import Arch
+from tisfm.settings import FixedPixels
 from tisfm.sources import FramePair, FrameSource, Listing, Source
 from tisfm.sources.frame_reader import is_path
 from tisfm.sources.webcam import webcam_number
@@ -140,6 +141,7 @@ def interpret_with_workers(
     camera: Camera,  # the camera of the frames after they are cropped and shrunk
     workers: int,  # number of processes
     first: int,  # number of the first pair
+    fixed_pixels: FixedPixels = "mask",  # as for `tisfm.interpret`
 ) -> Iterator[Interpretation | str]:
     """Interpret pairs in several processes of this machine; yield the results in order.
 
@@ -152,7 +154,7 @@ def interpret_with_workers(
     reader.close()
     all_pairs = Chunk(
         source=source,
-        work=PairWork(camera=camera, settings=source.settings),
+        work=PairWork(camera=camera, settings=source.settings, fixed_pixels=fixed_pixels),
         first=first,
         end=len(pairs),
         arch=runtime.running_arch(),  # type: ignore[arg-type]  # an arch of `runtime.start`

@@ -18,7 +18,7 @@ from tisfm.grade import GradeSummary, upper_median
 from tisfm.interpretation import Interpretation
 from tisfm.report import REPORT, is_report
 from tisfm.running.pair_files import DEFAULT_OUTPUTS, Checksums, PairFiles, Ranges, check_outputs
-from tisfm.settings import Settings
+from tisfm.settings import FixedPixels, Settings
 from tisfm.show.stereo import DISPARITY
 from tisfm.version import __version__
 
@@ -54,6 +54,7 @@ class PairWriter:
         # camera, height and width (px) of the source's frames, before crop and reduction
         source: tuple[Camera, tuple[int, int]] | None = None,
         window: int = 2,  # number of frames of an interpretation
+        fixed_pixels: FixedPixels = "mask",  # as for `tisfm.interpret`
         outputs: Collection[str] = DEFAULT_OUTPUTS,  # the outputs of a pair: keys of `ENDINGS`
         figures: int = 1,  # interval of pairs with a figure; 0 for no figures
         # disparity, screen: parameters of anaglyphs, as for `PairFiles`
@@ -98,6 +99,7 @@ class PairWriter:
             "source": None if source is None else _source_record(*source),
             "settings": asdict(settings),
             "window": window,
+            "fixed_pixels": fixed_pixels,
             "outputs": list(valid_outputs),
             "figures": self.files.figures,
             "start": start,

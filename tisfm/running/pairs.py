@@ -18,7 +18,7 @@ from tisfm.interpretation import Interpretation
 from tisfm.lens import undistort
 from tisfm.rigid import check_pose
 from tisfm.running.pair_files import PairFiles
-from tisfm.settings import Settings
+from tisfm.settings import FixedPixels, Settings
 from tisfm.sources import BadFrames, FramePair, FrameSource, Source
 from tisfm.window import Window
 
@@ -83,12 +83,18 @@ class PairWork:
 
     camera: Camera  # camera of the frames after crop and reduction
     settings: Settings
+    fixed_pixels: FixedPixels = "mask"  # as for `tisfm.interpret`
     # files of the pairs; None if results are returned instead of written
     files: PairFiles | None = field(default=None, repr=False)
 
     def interpret(self, pair: FramePair, window: Window | None = None) -> Interpretation:
         """Interpret a pair; `window` as for `FramePair.interpret`."""
-        return pair.interpret(camera=self.camera, settings=self.settings, window=window)
+        return pair.interpret(
+            camera=self.camera,
+            settings=self.settings,
+            window=window,
+            fixed_pixels=self.fixed_pixels,
+        )
 
     def write_arguments(self, pair: FramePair, number: int) -> dict[str, Any]:
         """Return the arguments of `PairFiles.write` for a pair, except its interpretation."""

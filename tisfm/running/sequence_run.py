@@ -35,7 +35,7 @@ from tisfm.running.pair_writer import PairWriter
 from tisfm.running.pairs import FrameSelection, PairSource, PairWork
 from tisfm.running.pool import WorkerPool, check_workers, open_pool
 from tisfm.runtime import Arch
-from tisfm.settings import Settings
+from tisfm.settings import FixedPixels, Settings
 from tisfm.show.stereo import DISPARITY, check_disparity, check_screen
 from tisfm.sources import FramePair, FrameSource, Source
 from tisfm.threads import usable_cores
@@ -78,6 +78,7 @@ class SequenceRun:
     frames: FrameSelection
     poses: Path | None = None  # a file with a pose for every frame of the source, selected or not
     mask: str | None = None  # a picture, or a folder or pattern with a picture for every frame
+    fixed_pixels: FixedPixels = "mask"  # as for `tisfm.interpret`
     window: WindowSize = 2  # {2, 3}: as for `tisfm.interpret_sequence`
     resume: bool = False  # whether to keep finished pairs of an earlier run with the same options
     # the outputs of a pair: keys of `tisfm.folders.run_record.ENDINGS`
@@ -167,7 +168,12 @@ class SequenceRun:
         writer = self._make_writer(
             frames, camera, full_shape or shape[:2], frames.camera_after(camera, full_shape)
         )
-        work = PairWork(camera=writer.camera, settings=self.settings, files=writer.files)
+        work = PairWork(
+            camera=writer.camera,
+            settings=self.settings,
+            fixed_pixels=self.fixed_pixels,
+            files=writer.files,
+        )
         pool = open_pool(self.workers, self.cluster) if self.is_shared else nullcontext()
         with closing(pairs), writer, pool as workers:
             observer.begin(writer, pair_count)
@@ -197,6 +203,7 @@ class SequenceRun:
             settings=self.settings,
             source=(camera, shape),
             window=self.window,
+            fixed_pixels=self.fixed_pixels,
             outputs=self.outputs,
             figures=self.figures,
             disparity=DISPARITY if self.disparity is None else self.disparity,

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from tisfm.camera import Camera
 from tisfm.interpretation import Interpretation
-from tisfm.settings import Settings
+from tisfm.settings import FixedPixels, Settings
 from tisfm.window import Window
 
 
@@ -48,11 +48,12 @@ class FramePair:
         camera: Camera | None = None,
         settings: Settings | None = None,
         window: Window | None = None,
+        fixed_pixels: FixedPixels = "mask",
     ) -> Interpretation:
         """Interpret the pair. Errors contain the names of the frames.
 
-        `window`, for motion ``"field"``, contains the result of the previous pair, and after the
-        call the result of this pair.
+        `fixed_pixels` is as for `tisfm.interpret`. `window`, for motion ``"field"``, contains the
+        result of the previous pair, and after the call the result of this pair.
         """
         from tisfm.pair import interpret, interpret_pair
 
@@ -74,7 +75,12 @@ class FramePair:
             )
         try:
             return interpret_frames(
-                self.frame0, self.frame1, camera=camera, settings=settings, pose=self.pose
+                self.frame0,
+                self.frame1,
+                camera=camera,
+                settings=settings,
+                pose=self.pose,
+                fixed_pixels=fixed_pixels,
             )
         except (TypeError, ValueError) as error:
             error.args = (f"frames {self.name0} and {self.name1}: {error}",)

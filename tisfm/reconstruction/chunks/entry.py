@@ -51,9 +51,9 @@ from tisfm.reconstruction.result.request import (
     request_digest,
     write_request,
 )
-from tisfm.reconstruction.stages.progress import DepthOf, FixedPixels, Progress, ReportDepth
+from tisfm.reconstruction.stages.progress import DepthOf, Progress, ReportDepth
 from tisfm.runtime import Arch
-from tisfm.settings import Settings
+from tisfm.settings import FixedPixels, Settings
 from tisfm.sources import BadFrames, FrameSource, Source
 from tisfm.sources.frame_reader import is_path, warn_notes
 from tisfm.sources.paths import refuse_url

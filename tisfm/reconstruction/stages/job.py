@@ -6,8 +6,8 @@ from pathlib import Path
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.result.calibration import Calibrate
-from tisfm.reconstruction.stages.progress import DepthOf, FixedPixels, Progress, ReportDepth
-from tisfm.settings import Settings
+from tisfm.reconstruction.stages.progress import DepthOf, Progress, ReportDepth
+from tisfm.settings import FixedPixels, Settings
 from tisfm.sources import FrameSource
 from tisfm.trajectory import Trajectory
 

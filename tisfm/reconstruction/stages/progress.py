@@ -6,8 +6,6 @@ from typing import Literal
 Stage = Literal["reading", "path", "depth"]
 DepthOf = Literal["all", "keyframes", "none"]
 """The frames whose depth is found."""
-FixedPixels = Literal["mask", "keep"]
-"""Whether pixels that are fixed on the sensor, such as a logo, are masked."""
 Progress = Callable[[Stage, int, int | None], None]
 """A function that is called with the stage, the number of finished frames, and the number of all
 frames, or None if it is unknown."""
