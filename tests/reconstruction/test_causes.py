@@ -16,7 +16,7 @@ from tisfm.reconstruction.causes.image_measures import ImageMeasures
 from tisfm.reconstruction.causes.track_measures import TrackMeasures
 from tisfm.reconstruction.path.missing_poses import MissingPoses, runs_of
 from tisfm.reconstruction.result.path_check import UNCHECKED
-from tisfm.reconstruction.result.statuses import mark_contradicted
+from tisfm.reconstruction.result.statuses import add_piece_note, find_cause, mark_contradicted
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.report.tables import MEANINGS
 from tisfm.status import STATUSES, Status
@@ -251,12 +251,13 @@ def test_large_frames_are_shrunk_before_they_are_measured():
 def test_contradiction_names_what_hides_the_motion():
     check = replace(UNCHECKED, fixed_share=0.5, infinity_motion=9.0)
     assert check.contradicts
-    light = Status("changing_light", "the brightness changes")
     first, second = mark_contradicted(
-        [Status("converged")] * 2, [0, 1], [check, check], causes={1: light}
+        [Status("converged")] * 2, [0, 1], [check, check], causes={1: "the brightness changes"}
     )
     assert first == second == "contradicted" and first.message == check.message
     assert second.message == f"{check.message}. Probable cause: the brightness changes"
+    assert find_cause(first) == "" and find_cause(second) == "the brightness changes"
+    assert find_cause(add_piece_note(second)) == "the brightness changes"
 
 
 def test_runs_of_frames():

@@ -14,11 +14,13 @@ from tests.reconstruction.films import depth_error, mirrored, path_error
 from tests.rendered import room_film
 from tisfm import Camera, Settings
 from tisfm.reconstruction.mapping import models as mapping
+from tisfm.reconstruction.result.path_check import UNCHECKED
 from tisfm.reconstruction.streaming import entry as streaming
 from tisfm.reconstruction.streaming import sliding_path, stream
 from tisfm.reconstruction.streaming.sliding_path import MIN_FIXED_VIEWS, SlidingPath
 from tisfm.reconstruction.streaming.stream import Stream
 from tisfm.sources import FrameSource
+from tisfm.status import Status
 
 FAST = Settings.preset("fast", motion="camera")
 COUNT, DELAY = 20, 8
@@ -281,6 +283,29 @@ def test_blank_frames_and_a_cut():
     assert np.nanmedian(found[12].depth) == pytest.approx(1, abs=1e-3)
     seen = [k for k in range(12) if k not in (4, 5)]
     assert path_error(poses_of(found)[seen], film.poses[seen]) < 0.02
+
+
+def test_contradicted_frames_name_what_hides_the_motion(monkeypatch):
+    """The images of the new frames of each call are measured once."""
+    measured = []
+    original = SlidingPath.find_image_cause
+
+    def find_image_cause(path, frames):
+        assert original(path, frames) is None  # the images of the film are good
+        measured.extend(frames)
+        return Status("noise", "noise hides the motion")
+
+    wrong = replace(UNCHECKED, fixed_share=0.5, infinity_motion=9.0)
+    monkeypatch.setattr(SlidingPath, "find_image_cause", find_image_cause)
+    monkeypatch.setattr(stream, "check_with_pairs", lambda *arguments: wrong)
+    found = list(stream_of(swing().frames[:12]))
+    assert measured == [frame.index for frame in found if frame.status == "contradicted"]
+    assert len(measured) > 8
+    assert all(
+        frame.status.message == f"{wrong.message}. Probable cause: noise hides the motion"
+        for frame in found
+        if frame.status == "contradicted"
+    )
 
 
 @pytest.mark.parametrize("rests", nightly_except(12, of=[12, 64]))

@@ -16,18 +16,24 @@ from tisfm.reconstruction.chunks.chunk import Span
 from tisfm.reconstruction.chunks.entry import _ErrorReport
 from tisfm.reconstruction.chunks.joining import ChunkResult, place_chunks, write_joined_result
 from tisfm.reconstruction.result.folder import write_mask, write_record
+from tisfm.reconstruction.result.statuses import mark_contradicted
 
 COUNT, SHARED = 6, 3  # frames of a chunk, and of its overlap with the next chunk
 
 
-def joined(folder, checks, masks, errors):
-    """Return the joined result of chunks of one path, with these checks, masks and errors."""
+def joined(folder, checks, masks, errors, causes=("", "", "")):
+    """Return the joined result of chunks of one path, with these checks, masks and errors.
+
+    Chunks are contradicted by their checks; `causes` says what hides the motion in each.
+    """
     poses = along(len(checks) * SHARED + SHARED)
     parts = []
-    for number, (check, mask, error) in enumerate(zip(checks, masks, errors, strict=True)):
+    of_chunks = zip(checks, masks, errors, causes, strict=False)
+    for number, (check, mask, error, cause) in enumerate(of_chunks):
         begin = number * SHARED
         chunk = made(folder / f"{number}", count=COUNT, poses=poses[begin : begin + COUNT])
-        chunk = replace(chunk, checks=(check,), depth_error=np.full(COUNT, error))
+        status = mark_contradicted(chunk.status, [0] * COUNT, [check], {0: cause})
+        chunk = replace(chunk, checks=(check,), depth_error=np.full(COUNT, error), status=status)
         write_record(chunk.folder, chunk)
         write_camera(chunk.folder / "camera.json", chunk.camera, SHAPE)
         if mask is not None:
@@ -44,7 +50,8 @@ def joined(folder, checks, masks, errors):
 
 def test_a_wrong_chunk_contradicts_the_whole_piece(tmp_path):
     right, wrong = check_of(), check_of(zoom=0.01)
-    result = joined(tmp_path, [right, wrong, right], [None] * 3, [0.01] * 3)
+    noise = "noise hides the motion"
+    result = joined(tmp_path, [right, wrong, right], [None] * 3, [0.01] * 3, ["", noise, ""])
     (check,) = result.checks
     assert [(pair.first, pair.second) for pair in check.pairs] == [(0, 1), (3, 4), (6, 7)]
     assert check.contradicts and check.objections == ("zoom",)
@@ -52,6 +59,9 @@ def test_a_wrong_chunk_contradicts_the_whole_piece(tmp_path):
     later = check.renumbered({k: 2 * k for k in range(9)})
     assert [part.pairs[0].first for part in later.parts] == [0, 6, 12]
     assert check.message.startswith("a chunk of the frames, 3 to 4: the picture grows")
+    assert {status.message for status in result.status} == {
+        f"{check.message}. Probable cause: {noise}"
+    }
     assert set(result.status) == {"contradicted"} and set(result.grades) == {"contradicted"}
     assert PathCheck.from_json(check.as_json()) == check
 

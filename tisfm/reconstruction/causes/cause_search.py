@@ -29,6 +29,24 @@ class CauseSearch:
     # frame → (H, W) uint8; None if images are no longer known
     grey: Callable[[int], np.ndarray] | None
 
+    @classmethod
+    def of_images(
+        cls,
+        observations: Sequence[Observations],
+        camera: Camera,
+        shape: tuple[int, int],
+        grey: Callable[[int], np.ndarray] | None,
+    ) -> "CauseSearch":
+        """Return a search for what the images show, without the matches of views."""
+        return cls(
+            observations=observations,
+            views=(),
+            matches={},
+            camera=camera.pinhole(),
+            shape=shape,
+            grey=grey,
+        )
+
     def find_image_cause(self, frames: Sequence[int]) -> Status | None:
         """Return what the images of consecutive frames show against a path; None for nothing."""
         if self.grey is None or len(self.observations) < 2:

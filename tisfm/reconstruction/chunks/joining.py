@@ -30,6 +30,7 @@ from tisfm.reconstruction.result.path_check import PathCheck
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.reconstruction.result.statuses import (
     add_piece_note,
+    find_cause,
     mark_contradicted,
     remove_piece_note,
 )
@@ -256,7 +257,12 @@ def write_joined_result(
         poses=np.array([placement.pose for placement in placements]),
         piece=np.array(pieces, np.int32),
         unit=(1.0,) * (max(pieces) + 1),
-        status=mark_contradicted(_statuses(results, placements, missing), pieces, checks),
+        status=mark_contradicted(
+            _statuses(results, placements, missing),
+            pieces,
+            checks,
+            _find_causes(results, placements),
+        ),
         checks=checks,
         depth_error=_of_frames("depth_error", results, placements),
         depth_share=_of_frames("depth_share", results, placements),
@@ -304,6 +310,18 @@ def _joined_checks(
         numbers = {number: joined_numbers[index] for index, number in part.frames.items()}
         checks[placement.piece][node] = part.result.checks[node[1]].renumbered(numbers)
     return tuple(PathCheck.joined(list(checks[piece].values())) for piece in sorted(checks))
+
+
+def _find_causes(
+    results: Sequence[Reconstruction], placements: Sequence[ChunkPlacement]
+) -> dict[int, str]:
+    """Return what hides the motion in the first contradicted chunk of each joined piece."""
+    causes: dict[int, str] = {}
+    for result, placement in zip(results, placements, strict=True):
+        status = result.status[placement.number]
+        if placement.piece >= 0 and status == "contradicted":
+            causes.setdefault(placement.piece, find_cause(status))
+    return causes
 
 
 def _statuses(

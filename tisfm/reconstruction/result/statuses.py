@@ -12,6 +12,7 @@ from tisfm.status import Status
 NEW_PIECE_NOTE = (
     "no track connects it with earlier frames: a new piece begins, with a scale of its own"
 )
+CAUSE_NOTE = ". Probable cause: "
 NO_PARALLAX = Status(
     "little_parallax", "no nearby frame shows enough parallax for depth; its pose is known"
 )
@@ -42,12 +43,22 @@ def remove_piece_note(status: Status) -> Status:
     return Status(str(status), status.message.removesuffix(NEW_PIECE_NOTE).removesuffix("; "))
 
 
+def contradict(reason: str, cause: str = "") -> Status:
+    """Return the status of a contradicted frame; the cause, if known, hides the motion."""
+    return Status("contradicted", f"{reason}{CAUSE_NOTE}{cause}" if cause else reason)
+
+
+def find_cause(status: Status) -> str:
+    """Return the cause in a status of `contradict`; "" without a cause."""
+    return remove_piece_note(status).message.partition(CAUSE_NOTE)[2]
+
+
 def mark_contradicted(
     statuses: Sequence[Status],
     pieces: Sequence[int],  # piece of each frame, −1 for none
     checks: Sequence[PathCheck],  # of each piece
-    # by piece: what hides the motion, if the images show it
-    causes: Mapping[int, Status] = MappingProxyType({}),
+    # by piece: what hides the motion, in words, if the images show it
+    causes: Mapping[int, str] = MappingProxyType({}),
     objection: str = "",  # what contradicts the camera of all pieces; "" if nothing does
 ) -> tuple[Status, ...]:
     """Return the statuses of frames: all frames of a contradicted piece are contradicted."""
@@ -55,8 +66,7 @@ def mark_contradicted(
     for status, piece in zip(statuses, pieces, strict=True):
         if piece >= 0 and (objection or checks[piece].contradicts):
             is_new_piece = NEW_PIECE_NOTE in status.message
-            cause = f". Probable cause: {causes[piece].message}" if piece in causes else ""
-            status = Status("contradicted", objection or checks[piece].message + cause)
+            status = contradict(objection or checks[piece].message, causes.get(piece, ""))
             status = add_piece_note(status) if is_new_piece else status
         marked.append(status)
     return tuple(marked)

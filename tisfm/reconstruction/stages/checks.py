@@ -12,7 +12,6 @@ from tisfm.reconstruction.result.folder import depth_path, read_depth
 from tisfm.reconstruction.result.path_check import UNCHECKED, PathCheck
 from tisfm.reconstruction.stages.depth import DepthResult
 from tisfm.reconstruction.stages.job import Job
-from tisfm.status import Status
 
 
 def check_pieces(
@@ -46,19 +45,17 @@ def check_pieces(
 
 def find_contradiction_causes(
     frames: PreparedFrames, path: CameraPath, checks: Sequence[PathCheck]
-) -> dict[int, Status]:
+) -> dict[int, str]:
     """Return what hides the motion in contradicted pieces, by piece, if the images show it."""
-    search = CauseSearch(
-        observations=path.observations,
-        views=(),
-        matches={},
-        camera=frames.camera.pinhole(),
-        shape=frames.shape,
-        grey=lambda frame: frames.tracker_input(frame)[0],
+    search = CauseSearch.of_images(
+        path.observations,
+        frames.camera,
+        frames.shape,
+        lambda frame: frames.tracker_input(frame)[0],
     )
     causes = {
         number: search.find_image_cause(sorted(piece.poses))
         for number, (piece, check) in enumerate(zip(path.pieces, checks, strict=True))
         if check.contradicts
     }
-    return {number: cause for number, cause in causes.items() if cause is not None}
+    return {number: cause.message for number, cause in causes.items() if cause is not None}

@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.reconstruction.causes.cause_search import CauseSearch
 from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.frames.image_motion import TRACKING_SETTINGS
 from tisfm.reconstruction.mapping.models import continue_model
@@ -203,6 +204,11 @@ class SlidingPath:
             },
             missing=solver.find_missing(solution, are_turns_found=False),
         )
+
+    def find_image_cause(self, frames: Sequence[int]) -> Status | None:
+        """Return what the images of recent frames show against a path; None for nothing."""
+        search = CauseSearch.of_images(self.observations, self.camera, self._shape, self._grey)
+        return search.find_image_cause(frames)
 
     def _continue_pieces(self) -> tuple[dict[int, Piece], list[int]]:
         """Return the pieces with fixed poses, continued, and the indices of the other views."""

@@ -38,7 +38,12 @@ from tisfm.reconstruction.path_checks.settings import PATH_CHECKS
 from tisfm.reconstruction.result.calibration import GIVEN, Calibrate
 from tisfm.reconstruction.result.folder import CACHE, PICTURES, read_picture
 from tisfm.reconstruction.result.path_check import PairEvidence, PathCheck
-from tisfm.reconstruction.result.statuses import NO_PARALLAX, add_piece_note, mark_uncertain
+from tisfm.reconstruction.result.statuses import (
+    NO_PARALLAX,
+    add_piece_note,
+    contradict,
+    mark_uncertain,
+)
 from tisfm.reconstruction.streaming.sliding_path import SlidingPath, SlidingSolution
 from tisfm.reconstruction.streaming.streamed_frame import StreamedFrame
 from tisfm.reconstruction.tracks.triangulation import track_depths
@@ -205,6 +210,7 @@ class Stream:
             number: _OrderedDepth(self._depths(number, piece, first - 1))
             for number, piece in pieces.items()
         }
+        causes = self._find_causes(pieces, checks, first, last)
         for frame in range(first, last + 1):
             number = numbers.get(frame, -1)
             if number < 0:
@@ -217,7 +223,7 @@ class Stream:
                 self._last_keyframes[number] = last_keyframe
             status = Status("converged") if depth is not None else NO_PARALLAX
             if checks[number].contradicts:
-                status = Status("contradicted", checks[number].message)
+                status = contradict(checks[number].message, causes[number])
             if number not in self._yielded_pieces and number > 0:
                 status = add_piece_note(status)
             self._yielded_pieces.add(number)
@@ -225,6 +231,21 @@ class Stream:
             yield self._make_frame(
                 frame, pieces[number].poses[frame], number, status, depth, keyframe
             )
+
+    def _find_causes(
+        self, pieces: Mapping[int, Piece], checks: Mapping[int, PathCheck], first: int, last: int
+    ) -> dict[int, str]:
+        """Return what hides the motion in contradicted pieces, by piece; "" if no image shows it.
+
+        The frames from `first` to `last` are measured.
+        """
+        causes = {}
+        for number, piece in pieces.items():
+            if checks[number].contradicts:
+                frames = sorted(frame for frame in piece.poses if first <= frame <= last)
+                cause = self._path.find_image_cause(frames)
+                causes[number] = "" if cause is None else cause.message
+        return causes
 
     def _update_camera(self) -> None:
         """Use the camera of the path, and warn once if its focal length is unreliable."""
