@@ -12,7 +12,7 @@ from tests.cases.inputs import room, sliding, write_film
 from tests.cli.conftest import tisfm_run, work_folder  # noqa: F401
 from tests.draws import nightly_except
 from tisfm.exports import write_kitti_paths, write_tum_paths
-from tisfm.reconstruction.path.given_poses import poses_of_frames
+from tisfm.reconstruction.path.given_poses import find_frame_poses
 from tisfm.sources.frame_reader import SourceWarning
 from tisfm.trajectory import Trajectory, read_tum
 from tisfm.trajectory.times import are_increasing, times_note, times_or_numbers
@@ -174,7 +174,7 @@ def test_poses_with_other_times_are_refused_before_all_work(tmp_path):
 
 def test_poses_are_assigned_by_order_if_times_do_not_increase():
     given = Trajectory(poses=np.tile(np.eye(4), (3, 1, 1)), times=[0.0, 0.1, 0.2])
-    poses, missing = poses_of_frames(given, [0.0, 0.1, 0.1])
+    poses, missing = find_frame_poses(given, [0.0, 0.1, 0.1])
     assert len(poses) == 3 and not missing
     with pytest.raises(ValueError, match="no times that increase"):
-        poses_of_frames(given, [0.0, 0.1, 0.1, 0.2])
+        find_frame_poses(given, [0.0, 0.1, 0.1, 0.2])

@@ -10,11 +10,11 @@ import tisfm
 from tests.reconstruction.films import along
 from tests.rendered import room_film
 from tisfm.reconstruction.causes import image_measures as measures
-from tisfm.reconstruction.causes.cause import image_cause, motion_cause
+from tisfm.reconstruction.causes.cause import explain_images, explain_motion
 from tisfm.reconstruction.causes.cause_search import CauseSearch
 from tisfm.reconstruction.causes.image_measures import ImageMeasures
 from tisfm.reconstruction.causes.track_measures import TrackMeasures
-from tisfm.reconstruction.path.missing_poses import MissingPoses, runs_of
+from tisfm.reconstruction.path.missing_poses import MissingPoses, split_runs
 from tisfm.reconstruction.result.path_check import UNCHECKED
 from tisfm.reconstruction.result.statuses import add_piece_note, find_cause, mark_contradicted
 from tisfm.reconstruction.tracks.tracker import Observations
@@ -77,26 +77,26 @@ def as_bytes(image):
     ],
 )
 def test_every_measure_leads_to_its_status(changes, code, word):
-    cause = image_cause(images(**changes), tracks(survival=0.1))
+    cause = explain_images(images(**changes), tracks(survival=0.1))
     assert cause == code and word in cause.message and code in STATUSES and code in MEANINGS
 
 
 def test_good_images_are_no_cause():
-    assert image_cause(images(), tracks()) is None
+    assert explain_images(images(), tracks()) is None
     still = images(fixed_correlation=1.0, coarse_correlation=1.0)  # a camera at rest
-    assert image_cause(still, tracks()) is None
-    assert image_cause(images(noise=18.0), tracks()) is None  # tracks go on all the same
+    assert explain_images(still, tracks()) is None
+    assert explain_images(images(noise=18.0), tracks()) is None  # tracks go on all the same
 
 
 def test_tracks_tell_rest_plane_and_the_rest():
-    still = motion_cause(tracks(motion=0.005), is_focal_known=True)
+    still = explain_motion(tracks(motion=0.005), is_focal_known=True)
     assert still == "little_parallax" and "hardly moves" in still.message
-    plane = motion_cause(tracks(homography=0.2), is_focal_known=False)
+    plane = explain_motion(tracks(homography=0.2), is_focal_known=False)
     assert plane == "one_plane" and "--focal" in plane.message
-    assert motion_cause(tracks(homography=0.2), is_focal_known=True) == "little_parallax"
-    stream = motion_cause(tracks(homography=0.2), is_focal_known=True, are_turns_found=False)
+    assert explain_motion(tracks(homography=0.2), is_focal_known=True) == "little_parallax"
+    stream = explain_motion(tracks(homography=0.2), is_focal_known=True, are_turns_found=False)
     assert stream == "little_parallax" and "only turns" in stream.message
-    assert "several motions" in motion_cause(tracks(), is_focal_known=True).message
+    assert "several motions" in explain_motion(tracks(), is_focal_known=True).message
 
 
 def test_noise_level_is_that_of_added_noise():
@@ -158,7 +158,7 @@ def test_measures_of_one_pair_are_finite():
     pair = as_bytes(texture()), as_bytes(np.roll(texture(), 3, 1))
     found = ImageMeasures(pairs=[pair], points=[(np.zeros((0, 2)), np.zeros((0, 2)))])
     assert all(np.isfinite(getattr(found, name)) for name in GOOD)
-    assert image_cause(found, tracks()) is None
+    assert explain_images(found, tracks()) is None
 
 
 def frames_with_tracks(counts):
@@ -261,8 +261,8 @@ def test_contradiction_names_what_hides_the_motion():
 
 
 def test_runs_of_frames():
-    assert runs_of([]) == [] and runs_of([3]) == [[3]]
-    assert runs_of([0, 1, 4, 5, 6, 9]) == [[0, 1], [4, 5, 6], [9]]
+    assert split_runs([]) == [] and split_runs([3]) == [[3]]
+    assert split_runs([0, 1, 4, 5, 6, 9]) == [[0, 1], [4, 5, 6], [9]]
 
 
 def spoiled(kind):

@@ -17,7 +17,7 @@ from tisfm.reconstruction.chunks.overlaps import overlap_sim3
 from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.path.path_solver import PathSolver
 from tisfm.reconstruction.rotation.adjustment import Orientations, adjust_orientations
-from tisfm.reconstruction.rotation.frame_pairs import FramePair, frame_pairs
+from tisfm.reconstruction.rotation.frame_pairs import FramePair, find_frame_pairs
 from tisfm.reconstruction.rotation.pair_rotation import fit_rotation
 from tisfm.reconstruction.rotation.rotation_search import RotationSearch
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracks
@@ -102,7 +102,7 @@ def test_focal_length_comes_from_one_half_of_the_image():
 
 def test_half_of_the_time_without_pairs_is_left_out():
     poses = turns(8)
-    pairs = frame_pairs(range(8), seen(scene(), poses), [], {}, CAMERA, SHAPE)
+    pairs = find_frame_pairs(range(8), seen(scene(), poses), [], {}, CAMERA, SHAPE)
     pairs = [pair for pair in pairs if pair.second > 4 and pair.first < 4]
     found = Orientations(rotations=poses[:, :3, :3], focal=FOCAL)
     assert abs(search([])._estimate(found, pairs).focal - FOCAL) < 1
@@ -166,7 +166,7 @@ def test_pair_rotation_ignores_outliers():
 def test_adjustment_lowers_the_cost_by_all_derivatives():
     """Start far from the truth in every unknown: only right derivatives lead back."""
     poses, points = turns(5, (0.01, 0.03, -0.02)), scene()
-    pairs = frame_pairs(range(5), seen(points, poses, noise=0.0), [], {}, CAMERA, SHAPE)
+    pairs = find_frame_pairs(range(5), seen(points, poses, noise=0.0), [], {}, CAMERA, SHAPE)
     assert {(pair.first, pair.second) for pair in pairs} >= {(0, 1), (0, 2), (0, 4), (3, 4)}
     disturbed = (
         poses[:, :3, :3]
@@ -183,7 +183,7 @@ def test_adjustment_lowers_the_cost_by_all_derivatives():
 
 def test_pairs_have_few_points_at_most():
     observations = seen(scene(), turns(3))
-    pairs = frame_pairs([0, 1, 2], observations, [], {}, CAMERA, SHAPE)
+    pairs = find_frame_pairs([0, 1, 2], observations, [], {}, CAMERA, SHAPE)
     assert all(isinstance(pair, FramePair) and len(pair.before) <= 150 for pair in pairs)
     assert pairs[0].motion == pytest.approx(0.02 * FOCAL, rel=0.3)
 

@@ -18,7 +18,7 @@ from tisfm.reconstruction.calibration.track_bundle import TrackBundle
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import FocalEstimate, Piece
 from tisfm.reconstruction.path import camera_revision
-from tisfm.reconstruction.path.path_bundle import largest_piece
+from tisfm.reconstruction.path.path_bundle import choose_largest_piece
 from tisfm.reconstruction.path.path_solver import CameraPath, PathSolver
 from tisfm.reconstruction.result.calibration import Calibration
 from tisfm.reconstruction.result.path_check import PathCheck
@@ -157,7 +157,7 @@ def piece_of(frames, *, only_turns=False):
 
 def test_camera_is_revised_in_the_largest_piece_with_positions():
     pan, walk = piece_of(range(12), only_turns=True), piece_of(range(12, 20))
-    assert largest_piece(path_of(pan, walk)) is walk
+    assert choose_largest_piece(path_of(pan, walk)) is walk
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from tisfm.camera import Camera, check_camera
 from tisfm.camera_file import camera_file_path, read_camera
 from tisfm.checks import check_pose_count, refuse_masked
 from tisfm.errors import InputError, InputTypeError
-from tisfm.reconstruction.path.given_poses import poses_of_frames
+from tisfm.reconstruction.path.given_poses import find_frame_poses
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.earlier_labels import find_result_labels
 from tisfm.reconstruction.result.folder import CACHE
@@ -213,7 +213,7 @@ def reconstruct(
             'poses are given and bad_frames="skip": poses would not fit the remaining frames'
         )
     if trajectory is not None and frames.times is not None:  # checked before the long computation
-        poses_of_frames(trajectory, frames.times)
+        find_frame_poses(trajectory, frames.times)
     elif trajectory is not None and trajectory.times is None and frames.count is not None:
         check_pose_count(len(trajectory.poses), len(frames) + 1)
     camera, known_camera = resolve_camera(camera)

@@ -7,10 +7,10 @@ from tisfm.reconstruction.rotation.settings import ROTATION
 from tisfm.status import Status
 
 
-def image_cause(images: ImageMeasures, tracks: TrackMeasures) -> Status | None:
+def explain_images(images: ImageMeasures, tracks: TrackMeasures) -> Status | None:
     """Return what the images show against a path, as a status; None for nothing."""
     if images.structure < CAUSES.min_contrast:
-        return Status("no_texture", _texture_message(images))
+        return Status("no_texture", _describe_texture(images))
     if (
         images.fixed_correlation > CAUSES.max_fixed_correlation
         and images.coarse_correlation < CAUSES.max_coarse_correlation
@@ -37,7 +37,7 @@ def image_cause(images: ImageMeasures, tracks: TrackMeasures) -> Status | None:
             "smaller frames (size, --size)",
         )
     if images.sharpness < CAUSES.min_sharpness or images.texture < CAUSES.min_textured_blocks:
-        return Status("no_texture", _texture_message(images))
+        return Status("no_texture", _describe_texture(images))
     if images.repetition > CAUSES.max_repetition:
         return Status(
             "repeated_texture",
@@ -47,7 +47,7 @@ def image_cause(images: ImageMeasures, tracks: TrackMeasures) -> Status | None:
     return None
 
 
-def _texture_message(images: ImageMeasures) -> str:
+def _describe_texture(images: ImageMeasures) -> str:
     """Return why frames have too little texture, and what to do."""
     share = f"only {100 * images.texture:.0f} % of the frame has texture"
     if images.brightness < CAUSES.min_brightness:
@@ -57,7 +57,7 @@ def _texture_message(images: ImageMeasures) -> str:
     return f"the frame is bare: {share}. Show textured surfaces"
 
 
-def motion_cause(
+def explain_motion(
     tracks: TrackMeasures,
     *,
     is_focal_known: bool,

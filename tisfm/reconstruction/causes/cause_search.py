@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.causes.cause import image_cause
+from tisfm.reconstruction.causes.cause import explain_images
 from tisfm.reconstruction.causes.image_measures import ImageMeasures
 from tisfm.reconstruction.causes.settings import CAUSES
 from tisfm.reconstruction.causes.track_measures import TrackMeasures
@@ -60,7 +60,7 @@ class CauseSearch:
         scale = flow_scale(small[chosen[0]], grey[chosen[0]])
         survival = [self._measure_survival(first, second) for first, second in numbers]
         is_cut = np.array(survival) < CAUSES.max_cut_survival
-        if is_cut.sum() >= max(CAUSES.min_broken_pairs, len(numbers) / 2):
+        if is_cut.sum() >= max(CAUSES.min_broken_pairs, CAUSES.min_broken_share * len(numbers)):
             is_cut[:] = False  # tracks end everywhere: light may be the reason
         points: list[tuple[np.ndarray, np.ndarray] | None] = []
         for (first, second), share, at_cut in zip(numbers, survival, is_cut, strict=True):
@@ -69,8 +69,10 @@ class CauseSearch:
             elif share < CAUSES.min_light_survival:
                 points.append((np.zeros((0, 2)), np.zeros((0, 2))))
             else:
-                points.append(self._shared_points(first, second, scale))
-        return image_cause(ImageMeasures(pairs=pairs, points=points), self.measure_tracks(frames))
+                points.append(self._find_shared_points(first, second, scale))
+        return explain_images(
+            ImageMeasures(pairs=pairs, points=points), self.measure_tracks(frames)
+        )
 
     def _choose_neighbour(self, frame: int) -> int:
         """Return the next frame; at a cut or at the end, the frame before, if tracks go on."""
@@ -87,7 +89,7 @@ class CauseSearch:
         common, _ = tracks.common_tracks(self.observations[second])
         return len(common) / max(1, len(tracks.tracks))
 
-    def _shared_points(
+    def _find_shared_points(
         self, first: int, second: int, scale: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the points of tracks that two frames share, px of shrunk frames."""

@@ -33,32 +33,32 @@ class ImageMeasures:
     @cached_property
     def brightness(self) -> float:
         """The mean grey level."""
-        return _median([float(frame.mean()) for frame in self._frames])
+        return _take_median([float(frame.mean()) for frame in self._frames])
 
     @cached_property
     def contrast(self) -> float:
         """The standard deviation of grey levels."""
-        return _median([float(frame.std()) for frame in self._frames])
+        return _take_median([float(frame.std()) for frame in self._frames])
 
     @cached_property
     def noise(self) -> float:
         """The standard deviation of noise, grey levels."""
-        return _median(self._noise_levels)
+        return _take_median(self._noise_levels)
 
     @cached_property
     def sharpness(self) -> float:
         """The share of the contrast that a small blur removes."""
-        return _median([measure_sharpness(frame) for frame in self._frames])
+        return _take_median([measure_sharpness(frame) for frame in self._frames])
 
     @cached_property
     def texture(self) -> float:
         """The share of the blocks of a frame that have texture above the noise."""
-        return _median(list(map(measure_textured_share, self._frames, self._noise_levels)))
+        return _take_median(list(map(measure_textured_share, self._frames, self._noise_levels)))
 
     @cached_property
     def light_change(self) -> float:
         """The change of light between neighbouring frames: the logarithm of the ratio."""
-        return _median(
+        return _take_median(
             [
                 compare_light_of_points(*pair, *points)
                 if len(points[0]) >= CAUSES.min_compared_tracks
@@ -74,17 +74,17 @@ class ImageMeasures:
 
         It is 1 for a pattern that is fixed on the sensor.
         """
-        return _median([correlate_details(*pair) for pair in self._frames_apart])
+        return _take_median([correlate_details(*pair) for pair in self._frames_apart])
 
     @cached_property
     def coarse_correlation(self) -> float:
         """The same of coarse structure: 1 for a camera at rest."""
-        return _median([correlate_coarse(*pair) for pair in self._frames_apart])
+        return _take_median([correlate_coarse(*pair) for pair in self._frames_apart])
 
     @cached_property
     def repetition(self) -> float:
         """The highest correlation of a frame with itself, moved by more than a few pixels."""
-        return _median([measure_repetition(frame) for frame in self._frames])
+        return _take_median([measure_repetition(frame) for frame in self._frames])
 
     @property
     def structure(self) -> float:
@@ -114,9 +114,9 @@ def measure_noise(grey: np.ndarray) -> float:
     ----------
     Immerkær, "Fast noise variance estimation", CVIU 1996, doi 10.1006/cviu.1996.0060.
     """
-    blocks = _blocks(_details(grey))
+    blocks = _split_blocks(_extract_details(grey))
     if not blocks.size:
-        return float(_details(grey).std()) / _NOISE_GAIN
+        return float(_extract_details(grey).std()) / _NOISE_GAIN
     deviations = np.sqrt((blocks**2).mean(axis=(1, 3))) / _NOISE_GAIN
     return float(np.quantile(deviations, CAUSES.noise_quantile))
 
@@ -127,7 +127,7 @@ def measure_textured_share(grey: np.ndarray, noise: float) -> float:
     `noise` is the standard deviation of the noise, grey levels.
     """
     smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), CAUSES.detail_blur)
-    blocks = _blocks(smooth)
+    blocks = _split_blocks(smooth)
     limit = max(
         CAUSES.min_block_texture, CAUSES.min_texture_to_noise * CAUSES.blurred_noise * noise
     )
@@ -175,7 +175,7 @@ def compare_light_of_points(
 
 def correlate_details(first: np.ndarray, second: np.ndarray) -> float:
     """Return the correlation of fine details at the same pixel of two frames, (H, W)."""
-    details = [_details(frame) for frame in (first, second)]
+    details = [_extract_details(frame) for frame in (first, second)]
     deviations = [float(detail.std()) for detail in details]
     if min(deviations) == 0:
         return 0.0
@@ -217,17 +217,17 @@ def measure_repetition(grey: np.ndarray) -> float:
     return float(window[is_far].max() / variance)
 
 
-def _details(grey: np.ndarray) -> np.ndarray:
+def _extract_details(grey: np.ndarray) -> np.ndarray:
     response = cv2.filter2D(grey.astype(np.float32), -1, _NOISE_KERNEL)
     return np.asarray(response[1:-1, 1:-1])
 
 
-def _blocks(values: np.ndarray) -> np.ndarray:
+def _split_blocks(values: np.ndarray) -> np.ndarray:
     """Return the square blocks of an image, (rows, side, columns, side)."""
     side = CAUSES.noise_block
     rows, columns = values.shape[0] // side, values.shape[1] // side
     return values[: rows * side, : columns * side].reshape(rows, side, columns, side)
 
 
-def _median(values: Sequence[float]) -> float:
+def _take_median(values: Sequence[float]) -> float:
     return float(np.median(values)) if values else 0.0

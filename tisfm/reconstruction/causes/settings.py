@@ -46,6 +46,7 @@ class CauseSettings:
     # smaller share of a frame's tracks that go on: the scene changed, as at a cut
     max_cut_survival: float = 0.1
     min_broken_pairs: int = 3  # pairs of frames at which tracks end: more than cuts would break
+    min_broken_share: float = 0.5  # and share of the measured pairs
 
 
 CAUSES = CauseSettings()

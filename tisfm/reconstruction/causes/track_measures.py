@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.rotation.frame_pairs import FramePair, frame_pairs
+from tisfm.reconstruction.rotation.frame_pairs import FramePair, find_frame_pairs
 from tisfm.reconstruction.rotation.pair_homography import fit_homography
 from tisfm.reconstruction.rotation.settings import FRAME_SIDE, ROTATION
 from tisfm.reconstruction.tracks.tracker import Observations
@@ -57,6 +57,6 @@ class TrackMeasures:
 
     @cached_property
     def _pairs(self) -> list[FramePair]:
-        return frame_pairs(
+        return find_frame_pairs(
             self.frames, self.observations, self.views, self.matches, self.camera, self.shape
         )

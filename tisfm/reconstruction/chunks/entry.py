@@ -39,7 +39,7 @@ from tisfm.reconstruction.entry import (
     resolve_camera,
     resolve_settings,
 )
-from tisfm.reconstruction.path.given_poses import poses_of_frames
+from tisfm.reconstruction.path.given_poses import find_frame_poses
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.reconstruction.result.renewal import CHUNKS, refuse_other_files, renewed_locked_folder
@@ -155,7 +155,7 @@ class ChunkedRun:
         self._missing: dict[int, Status] = {}
         frame_poses = None
         if given_poses is not None:
-            frame_poses, self._missing = poses_of_frames(given_poses, times)
+            frame_poses, self._missing = find_frame_poses(given_poses, times)
         self.request = make_request(
             frame_source,
             camera=camera,

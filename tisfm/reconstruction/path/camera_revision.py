@@ -19,11 +19,13 @@ from tisfm.reconstruction.mapping.models import ViewGraph
 from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.path.lens_revision import revise_lens
 from tisfm.reconstruction.path.path_bundle import (
-    bundle_of,
+    adjust_largest_piece,
+    choose_largest_piece,
+    compare_costs,
+    count_posed_frames,
     count_views,
-    largest_piece,
-    posed_count,
-    relative_cost,
+    has_other_focal,
+    make_bundle,
 )
 from tisfm.reconstruction.path.path_solver import CameraPath, PathSolver
 from tisfm.reconstruction.path.settings import REVISION
@@ -70,12 +72,12 @@ def needs_richer_camera(
     max_cost: float,  # robust cost with a richer camera over that with one
 ) -> bool:
     """Return whether a richer camera explains the tracks of the largest piece clearly better."""
-    views = list(largest_piece(path).views)
+    views = list(choose_largest_piece(path).views)
     for begin in range(0, len(views), REVISION.window_views):
         window = views[begin : begin + REVISION.window_views]
         if len(window) < REVISION.min_views:
             continue
-        bundle = bundle_of(path, window, shape)
+        bundle = make_bundle(path, shape, window)
         base = adjust_camera(
             bundle, path.camera.focal, free, scales=(MAPPING.outlier_pixels,),
             steps=REVISION.base_steps,
@@ -130,10 +132,10 @@ def _find_remaining_zoom(
 
     Frames that are no views of the largest piece have the zoom of the views beside them.
     """
-    views = list(largest_piece(path).views)
-    adjusted = adjust_camera(
-        bundle_of(path, views, shape),
-        path.camera.focal,
+    views = list(choose_largest_piece(path).views)
+    adjusted = adjust_largest_piece(
+        path,
+        shape,
         free,
         has_zoom=True,
         removed_zoom=removed_zoom[views] - removed_zoom[views[0]],
@@ -144,7 +146,6 @@ def _find_remaining_zoom(
 
 def _shows_zoom(path: CameraPath, zoomed: _ZoomedPath, solver: PathSolver) -> bool:
     """Return whether a zoom is significant, and explains what no constant camera explains."""
-    shape, views = solver.tracks.shape, list(largest_piece(path).views)
     zoom, adjusted = zoomed.path.zoom, zoomed.adjusted
     deviation = float(adjusted.zoom_deviation.max())
     if zoom is None or deviation > REVISION.max_zoom_deviation:
@@ -152,11 +153,10 @@ def _shows_zoom(path: CameraPath, zoomed: _ZoomedPath, solver: PathSolver) -> bo
     extent = float(np.log(zoom.max() / zoom.min()))
     if extent < max(REVISION.min_zoom, REVISION.min_zoom_significance * deviation):
         return False
-    if posed_count(zoomed.path) < posed_count(path):
+    if count_posed_frames(zoomed.path) < count_posed_frames(path):
         return False
-    bundle = bundle_of(path, views, shape)
-    constant = adjust_camera(bundle, path.camera.focal, ("focal", "k1"))
-    if relative_cost(adjusted, constant) > REVISION.max_zoom_cost:
+    constant = adjust_largest_piece(path, solver.tracks.shape, ("focal", "k1"))
+    if compare_costs(adjusted, constant) > REVISION.max_zoom_cost:
         return False
     if solver.calibrate != "nothing":
         # With an uncertain focal length, a forward motion may look like a zoom.
@@ -165,8 +165,7 @@ def _shows_zoom(path: CameraPath, zoomed: _ZoomedPath, solver: PathSolver) -> bo
         return False
     # A wrong stated focal length may look like a zoom. Then the tracks show another focal length.
     free = adjust_camera(adjusted.bundle, adjusted.focal, ("focal",), has_zoom=True)
-    limit = max(REVISION.max_focal_change, REVISION.max_focal_deviations * free.common_deviation[0])
-    return bool(abs(np.log(free.focal / solver.camera.focal)) < limit)
+    return not has_other_focal(free, solver.camera)
 
 
 def unzoom_tracks(

@@ -7,7 +7,7 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.mapping.solution import Piece
-from tisfm.reconstruction.path.given_poses import poses_of_frames
+from tisfm.reconstruction.path.given_poses import find_frame_poses
 from tisfm.reconstruction.path.path_solver import CameraPath
 from tisfm.reconstruction.rolling_shutter.correction import ReadoutCorrection
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracks
@@ -16,7 +16,7 @@ from tisfm.reconstruction.tracks.triangulation import triangulate_tracks
 from tisfm.trajectory import Trajectory
 
 
-def given_path(
+def take_given_path(
     tracks: SequenceTracks,
     trajectory: Trajectory,  # given poses; with a rolling shutter, the poses of middle rows
     # Pinhole camera of the frames. An unknown readout counts as 0: it is not estimated.
@@ -30,7 +30,7 @@ def given_path(
     Raises InputError if poses do not fit the frames in number or in time.
     """
     observations: Sequence[Observations] = tracks.observations
-    poses, missing = poses_of_frames(trajectory, times)
+    poses, missing = find_frame_poses(trajectory, times)
     known_poses = {k: pose for k, pose in enumerate(poses) if k not in missing}
     points = triangulate_tracks(observations, known_poses, camera, tracks.shape)
     piece, rolling = Piece(poses=known_poses, views=tuple(known_poses), points=points), None

@@ -15,7 +15,7 @@ from tisfm.trajectory.times import are_increasing, associate
 MAX_TIME_SHARE = 0.5
 
 
-def poses_of_frames(
+def find_frame_poses(
     trajectory: Trajectory,
     times: Sequence[float | None],  # times of the frames, s; None if unknown
 ) -> tuple[np.ndarray, dict[int, Status]]:

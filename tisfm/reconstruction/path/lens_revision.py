@@ -15,11 +15,11 @@ from tisfm.reconstruction.calibration.bundle_residuals import COMMON
 from tisfm.reconstruction.calibration.camera_adjustment import AdjustedCamera, adjust_camera
 from tisfm.reconstruction.mapping.solution import FocalEstimate
 from tisfm.reconstruction.path.path_bundle import (
-    bundle_of,
+    adjust_largest_piece,
+    compare_costs,
+    count_posed_frames,
     count_views,
-    largest_piece,
-    posed_count,
-    relative_cost,
+    has_other_focal,
 )
 from tisfm.reconstruction.path.path_solver import (
     CameraPath,
@@ -58,16 +58,13 @@ def revise_lens(path: CameraPath, solver: PathSolver, instants: np.ndarray) -> C
     """
     is_focal_known = solver.calibrate == "nothing"
     free: tuple[str, ...] = () if is_focal_known else ("focal",)
-    shape = solver.tracks.shape
-    base = adjust_camera(
-        bundle_of(path, list(largest_piece(path).views), shape), path.camera.focal, free
-    )
-    refocused = _other_focal(solver, instants) if is_focal_known else None
+    base = adjust_largest_piece(path, solver.tracks.shape, free)
+    refocused = _solve_with_other_focal(solver, instants) if is_focal_known else None
     lens = _solve_lens(solver, instants, free)
     if lens is not None and not _shows_lens(path, base, refocused, lens, solver):
         lens = None
     if lens is None:
-        return replace(path, objection=_focal_objection(base, refocused, solver.camera))
+        return replace(path, objection=_object_to_focal(base, refocused, solver.camera))
     radial = lens.radial
     estimate = lens.path.focal or FocalEstimate(focal=lens.path.camera.focal, deviation=0.0)
     return replace(
@@ -79,7 +76,7 @@ def revise_lens(path: CameraPath, solver: PathSolver, instants: np.ndarray) -> C
             radial_deviation=lens.radial_deviation,
             shows_distortion=False,
         ),
-        objection=_lens_objection(lens, solver),
+        objection=_object_to_lens(lens, solver),
     )
 
 
@@ -96,7 +93,7 @@ def _solve_lens(solver: PathSolver, instants: np.ndarray, free: Sequence[str]) -
         return None
     best = found[0]
     for other in found[1:]:
-        if relative_cost(other.adjusted, best.adjusted) < 1:
+        if compare_costs(other.adjusted, best.adjusted) < 1:
             best = other
     for _ in range(REVISION.lens_rounds):
         # the coefficient in units of the focal length that the solver starts with
@@ -124,23 +121,22 @@ def _solve_with(
         return None
     if path.focal is not None and not path.focal.is_useful:
         return None
-    views = list(largest_piece(path).views)
-    adjusted = adjust_camera(
-        bundle_of(path, views, shape, solver.tracks.observations),
-        path.camera.focal,
+    adjusted = adjust_largest_piece(
+        path,
+        shape,
         (*free, "k1"),
+        solver.tracks.observations,
         radial=radial * (path.camera.focal / solver.camera.focal) ** 2,
     )
     return _LensPath(path=path, adjusted=adjusted)
 
 
-def _other_focal(solver: PathSolver, instants: np.ndarray) -> AdjustedCamera | None:
+def _solve_with_other_focal(solver: PathSolver, instants: np.ndarray) -> AdjustedCamera | None:
     """Return the camera of a path that was solved as if the focal length was unknown."""
     path = replace(solver, calibrate="focal", is_focal_known=False).solve(instants)
     if not path.pieces_with_positions or path.focal is None or not path.focal.is_useful:
         return None
-    views = list(largest_piece(path).views)
-    return adjust_camera(bundle_of(path, views, solver.tracks.shape), path.camera.focal, ("focal",))
+    return adjust_largest_piece(path, solver.tracks.shape, ("focal",))
 
 
 def _shows_lens(
@@ -157,21 +153,19 @@ def _shows_lens(
     displacement = abs(lens.radial) * (corner / lens.path.camera.focal) ** 2
     return (
         is_focal_known
-        and posed_count(lens.path) >= posed_count(path)
+        and count_posed_frames(lens.path) >= count_posed_frames(path)
         and displacement > REVISION.min_displacement
         and abs(lens.radial) > REVISION.min_lens_significance * lens.radial_deviation
-        and relative_cost(lens.adjusted, base) < REVISION.max_distorted_cost
-        and (refocused is None or relative_cost(lens.adjusted, refocused) < REVISION.max_lens_cost)
+        and compare_costs(lens.adjusted, base) < REVISION.max_distorted_cost
+        and (refocused is None or compare_costs(lens.adjusted, refocused) < REVISION.max_lens_cost)
     )
 
 
-def _focal_objection(base: AdjustedCamera, refocused: AdjustedCamera | None, camera: Camera) -> str:
+def _object_to_focal(base: AdjustedCamera, refocused: AdjustedCamera | None, camera: Camera) -> str:
     """Return what contradicts a stated focal length, and advice; "" if nothing does."""
-    if refocused is None or relative_cost(refocused, base) > REVISION.max_cost:
+    if refocused is None or compare_costs(refocused, base) > REVISION.max_cost:
         return ""
-    deviation = float(refocused.common_deviation[0])
-    limit = max(REVISION.max_focal_change, REVISION.max_focal_deviations * deviation)
-    if abs(np.log(refocused.focal / camera.focal)) < limit:
+    if not has_other_focal(refocused, camera):
         return ""
     share = 100 * (refocused.focal / camera.focal - 1)
     return (
@@ -181,11 +175,11 @@ def _focal_objection(base: AdjustedCamera, refocused: AdjustedCamera | None, cam
     )
 
 
-def _lens_objection(lens: _LensPath, solver: PathSolver) -> str:
+def _object_to_lens(lens: _LensPath, solver: PathSolver) -> str:
     """Return what contradicts one coefficient of a lens, and advice; "" if nothing does."""
     adjusted = lens.adjusted
     full = adjust_camera(adjusted.bundle, adjusted.focal, COMMON, radial=lens.radial)
-    if relative_cost(full, adjusted) < REVISION.max_cost:
+    if compare_costs(full, adjusted) < REVISION.max_cost:
         return (
             f"the lens distorts in a way that one radial coefficient (k1 = {lens.radial:.2f}) does "
             f"not describe: pose and depth are probably wrong. {ADVICE.capitalize()}"
@@ -193,10 +187,8 @@ def _lens_objection(lens: _LensPath, solver: PathSolver) -> str:
     if solver.calibrate != "nothing":
         return ""
     free = adjust_camera(adjusted.bundle, adjusted.focal, ("focal", "k1"), radial=lens.radial)
-    limit = max(REVISION.max_focal_change, REVISION.max_focal_deviations * free.common_deviation[0])
-    if relative_cost(free, adjusted) > REVISION.max_lens_cost or (
-        abs(np.log(free.focal / solver.camera.focal)) < limit
-    ):
+    is_better = compare_costs(free, adjusted) <= REVISION.max_lens_cost
+    if not (is_better and has_other_focal(free, solver.camera)):
         return ""
     return (
         f"the lens distorts (k1 = {lens.radial:.2f}), and the tracks do not fit the stated focal "

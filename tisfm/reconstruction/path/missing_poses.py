@@ -6,13 +6,13 @@ from functools import cached_property
 
 import numpy as np
 
-from tisfm.reconstruction.causes.cause import motion_cause
+from tisfm.reconstruction.causes.cause import explain_motion
 from tisfm.reconstruction.causes.cause_search import CauseSearch
 from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.status import Status
 
 
-def runs_of(frames: Sequence[int]) -> list[list[int]]:
+def split_runs(frames: Sequence[int]) -> list[list[int]]:
     """Return the runs of consecutive frames, of frames in ascending order."""
     breaks = np.flatnonzero(np.diff(frames) != 1) + 1
     runs = [run.tolist() for run in np.split(np.asarray(frames, np.int64), breaks)]
@@ -46,7 +46,7 @@ class MissingPoses(Mapping[int, Status]):
         run = self._runs[frame]
         cause = self._causes[run[0]] if run[0] in self._causes else self._find_cause(run)
         self._causes[run[0]] = cause
-        status = cause or _status_beside_path(frame, self.search)
+        status = cause or _explain_beside_path(frame, self.search)
         count = len(self.search.observations[frame].tracks)
         if count < MAPPING.min_observations and status not in _EXPLAINS_FEW_POINTS:
             status = Status(
@@ -59,7 +59,7 @@ class MissingPoses(Mapping[int, Status]):
     @cached_property
     def _runs(self) -> dict[int, list[int]]:
         """The run of each frame."""
-        return {frame: run for run in runs_of(self.frames) for frame in run}
+        return {frame: run for run in split_runs(self.frames) for frame in run}
 
     @cached_property
     def _causes(self) -> dict[int, Status | None]:
@@ -84,14 +84,14 @@ class MissingPoses(Mapping[int, Status]):
                 f"only {self.distinct_count} frames differ, but a path needs "
                 f"{MAPPING.min_views}: take more frames, or give the pair to tisfm.interpret",
             )
-        return motion_cause(
+        return explain_motion(
             self.search.measure_tracks(run),
             is_focal_known=self.is_focal_known,
             are_turns_found=self.are_turns_found,
         )
 
 
-def _status_beside_path(frame: int, search: CauseSearch) -> Status:
+def _explain_beside_path(frame: int, search: CauseSearch) -> Status:
     """Return the status of a frame of a sequence in which other frames have poses."""
     if search.shows_cut(frame):
         return Status(

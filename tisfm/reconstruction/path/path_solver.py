@@ -23,7 +23,7 @@ from tisfm.reconstruction.mapping.models import (
 )
 from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.mapping.solution import FocalEstimate, PathSolution, Piece
-from tisfm.reconstruction.path.missing_poses import MissingPoses, runs_of
+from tisfm.reconstruction.path.missing_poses import MissingPoses, split_runs
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.rolling_shutter.correction import ReadoutCorrection, find_corrected_path
 from tisfm.reconstruction.rotation.rotation_search import RotationSearch
@@ -208,7 +208,9 @@ class PathSolver:
 
         If there is no other piece, and the focal length is to be estimated, the rotations show it.
         """
-        runs = [run for run in runs_of(solution.missing_frames) if len(run) >= ROTATION.min_frames]
+        runs = [
+            run for run in split_runs(solution.missing_frames) if len(run) >= ROTATION.min_frames
+        ]
         if not runs:
             return solution
         is_focal_known = self.calibrate == "nothing" or bool(solution.pieces)
@@ -339,11 +341,11 @@ class PathSolver:
         focal: FocalEstimate | None = None,
     ) -> PathSolution:
         """Return the solution with the poses of models and of the frames between their views."""
-        pieces, score = list(map(piece_of_model, models)), sum(model.score for model in models)
+        pieces, score = list(map(make_piece, models)), sum(model.score for model in models)
         return self.complete_solution(pieces, views, observations, camera, focal, score)
 
 
-def piece_of_model(model: Model) -> Piece:
+def make_piece(model: Model) -> Piece:
     """Return the views and points of a model as a piece of the path."""
     return Piece(poses=model.poses, views=tuple(model.poses), points=model.points)
 
@@ -414,7 +416,7 @@ def add_remaining_frames(
     for frame in frames:
         if frame in piece_of_frame:
             continue
-        for k in _nearest_pieces(frame, piece_of_frame, sorted_frames):
+        for k in _find_nearest_pieces(frame, piece_of_frame, sorted_frames):
             pose = pose_from_points(observations[frame], pieces[k].points, camera, shape)
             if pose is not None:
                 poses_of_pieces[k][frame] = pose
@@ -427,7 +429,7 @@ def add_remaining_frames(
     ], missing_frames
 
 
-def _nearest_pieces(
+def _find_nearest_pieces(
     frame: int, piece_of_frame: Mapping[int, int], sorted_frames: Sequence[int]
 ) -> list[int]:
     """Return the pieces of the nearest frames before and after a frame, without repetition."""

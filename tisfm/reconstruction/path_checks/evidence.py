@@ -47,11 +47,11 @@ def weigh_pair(
         excess=off_path - off_free,
         residual_ratio=max(path_residual, PATH_CHECKS.min_residual)
         / max(free_residual, PATH_CHECKS.min_residual),
-        direction=angle_between(pair.path[1], pair.free[1]),
-        direction_deviation=direction_deviation(sample, pair.free),
-        rotation=rotation_angle(pair.path[0] @ pair.free[0].T),
+        direction=measure_angle(pair.path[1], pair.free[1]),
+        direction_deviation=find_direction_deviation(sample, pair.free),
+        rotation=measure_turn(pair.path[0] @ pair.free[0].T),
         behind=float(behind.mean()),
-        rank=depth_rank(pair, free_points, inverse_depth),
+        rank=correlate_depth(pair, free_points, inverse_depth),
         zoom=zoom,
         zoom_deviation=zoom_deviation,
         zoom_gain=max(free_residual, PATH_CHECKS.min_zoom_residual)
@@ -60,25 +60,25 @@ def weigh_pair(
     )
 
 
-def angle_between(first: np.ndarray, second: np.ndarray) -> float:
+def measure_angle(first: np.ndarray, second: np.ndarray) -> float:
     """Return the angle between two vectors, degrees."""
     return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(first, second)), first @ second)))
 
 
-def rotation_angle(rotation: np.ndarray) -> float:
+def measure_turn(rotation: np.ndarray) -> float:
     """Return the angle of a rotation, (3, 3), degrees."""
     return float(np.degrees(Rotation.from_matrix(rotation).magnitude()))
 
 
-def direction_deviation(rays: Rays, pose: Pose) -> float:
+def find_direction_deviation(rays: Rays, pose: Pose) -> float:
     """Return the standard deviation of the direction of translation of a fitted motion, degrees."""
     points = nearest_points(rays, *pose)
-    matrix, _ = _normal_equations(points, rays, distance_jacobian(points, rays.focal))
+    matrix, _ = _make_normal_equations(points, rays, distance_jacobian(points, rays.focal))
     covariance = np.linalg.inv(fix_scale(matrix, pose[1]))
     return float(np.degrees(np.sqrt(max(float(np.trace(covariance[:3, :3])), 0.0))))
 
 
-def depth_rank(
+def correlate_depth(
     pair: DensePair, points: EpipolarPoints, inverse_depth: np.ndarray | None
 ) -> float | None:
     """Return the rank correlation of depth with that of a motion; None for too few pixels."""
@@ -110,8 +110,8 @@ def fit_zoom(rays: Rays, pose: Pose) -> tuple[float, float, float]:
             points.normal_x * unzoomed.rays1[0] + points.normal_y * unzoomed.rays1[1]
         )
         jacobian = np.vstack([distance_jacobian(points, rays.focal), by_zoom])
-        matrix, scale = _normal_equations(points, unzoomed, jacobian)
-        weight = _robust_weights(points.distance, scale, rays.trust)
+        matrix, scale = _make_normal_equations(points, unzoomed, jacobian)
+        weight = _weigh_distances(points.distance, scale, rays.trust)
         gradient = jacobian @ (weight * points.distance) / scale**2 / PATH_CHECKS.correlated_pixels
         along = np.concatenate([translation, np.zeros(4)])
         # The length of the translation is not determined; a little on the diagonal avoids 0 / 0.
@@ -128,14 +128,14 @@ def fit_zoom(rays: Rays, pose: Pose) -> tuple[float, float, float]:
     return zoom, float(np.sqrt(np.linalg.inv(matrix)[6, 6])), scale
 
 
-def _normal_equations(
+def _make_normal_equations(
     points: EpipolarPoints, rays: Rays, jacobian: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """Return the information matrix of a robust fit, and the deviation of distances, px."""
     scale = max(robust_deviation(np.abs(points.distance), rays.trust), PATH_CHECKS.min_scale)
-    weight = _robust_weights(points.distance, scale, rays.trust)
+    weight = _weigh_distances(points.distance, scale, rays.trust)
     return (jacobian * weight) @ jacobian.T / scale**2 / PATH_CHECKS.correlated_pixels, scale
 
 
-def _robust_weights(distance: np.ndarray, scale: float, trust: np.ndarray) -> np.ndarray:
+def _weigh_distances(distance: np.ndarray, scale: float, trust: np.ndarray) -> np.ndarray:
     return np.asarray(trust / (1 + (distance / (2 * scale)) ** 2) ** 2)

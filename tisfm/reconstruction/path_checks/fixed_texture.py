@@ -12,14 +12,13 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.motion.epipolar_fit import MAD_TO_DEVIATION
 from tisfm.reconstruction.frames.image_motion import flow_scale, shrink_for_flow
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import Piece
-from tisfm.reconstruction.path_checks.evidence import rotation_angle
+from tisfm.reconstruction.path_checks.evidence import measure_turn
 from tisfm.reconstruction.path_checks.settings import PATH_CHECKS
 from tisfm.reconstruction.result.path_check import LIMITS
-
-DEVIATION_OF_MEDIAN = 1.4826  # standard deviation of a normal distribution over its median distance
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,7 +39,7 @@ class FixedTexture:
 def find_infinity_motion(rotations: Sequence[np.ndarray], camera: Camera) -> float:
     """Return the largest motion of points at infinity from the first frame, px of the frames."""
     return max(
-        camera.focal * np.radians(rotation_angle(rotations[0].T @ other)) for other in rotations
+        camera.focal * np.radians(measure_turn(rotations[0].T @ other)) for other in rotations
     )
 
 
@@ -83,13 +82,13 @@ def measure_fixed_texture(
     middle = np.median(stack, axis=0)
     window = (PATH_CHECKS.fixed_window,) * 2
     deviation = cv2.boxFilter(np.median(np.abs(stack - middle), axis=0), -1, window)
-    texture_of_median = cv2.boxFilter(gradient_length(middle), -1, window)
+    texture_of_median = cv2.boxFilter(measure_gradient(middle), -1, window)
     texture = np.median(
-        [cv2.boxFilter(gradient_length(frame), -1, window) for frame in small], axis=0
+        [cv2.boxFilter(measure_gradient(frame), -1, window) for frame in small], axis=0
     )
     is_textured = texture > PATH_CHECKS.min_fixed_gradient
     shift = (
-        DEVIATION_OF_MEDIAN
+        MAD_TO_DEVIATION
         * deviation
         / np.maximum(texture_of_median, PATH_CHECKS.min_median_gradient)
     )
@@ -111,7 +110,7 @@ def measure_fixed_texture(
     )
 
 
-def gradient_length(grey: np.ndarray) -> np.ndarray:
+def measure_gradient(grey: np.ndarray) -> np.ndarray:
     """Return the length of the gradient, (H, W) float32, grey levels per px."""
     gradients = (cv2.Sobel(grey, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1)))
     return cv2.magnitude(*gradients)

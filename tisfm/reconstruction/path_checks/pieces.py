@@ -106,7 +106,7 @@ def choose_second_frame(
     for other in frames:
         if not 0 < abs(other - first) <= PATH_CHECKS.max_pair_steps:
             continue
-        pixels = track_motion(observations[first], observations[other])
+        pixels = measure_track_motion(observations[first], observations[other])
         if pixels is None:
             continue
         motion = max(pixels / longer_side, PATH_CHECKS.min_pair_motion)
@@ -118,7 +118,7 @@ def choose_second_frame(
     return best
 
 
-def track_motion(first: Observations, second: Observations) -> float | None:
+def measure_track_motion(first: Observations, second: Observations) -> float | None:
     """Return the median motion of the tracks of two frames, px; None for too few."""
     _, rows, others = np.intersect1d(first.tracks, second.tracks, return_indices=True)
     if len(rows) < PATH_CHECKS.min_pair_tracks:

@@ -39,12 +39,12 @@ def adjust_orientations(
     Hartley, "Self-calibration of stationary cameras", IJCV 1997, doi 10.1023/A:1007957826135.
     """
     points = _Points(pairs)
-    now, cost = start, points.cost(start, noise)
+    now, cost = start, points.measure_cost(start, noise)
     damping = ROTATION.start_damping
     is_free = np.ones(3 * len(start.rotations) + 1, bool)
     is_free[:3], is_free[-1] = False, with_focal
     for _ in range(ROTATION.max_steps):
-        matrix, vector = points.normal_equations(now, noise)
+        matrix, vector = points.make_normal_equations(now, noise)
         matrix, vector = matrix[is_free][:, is_free], vector[is_free]
         diagonal = diags(np.maximum(matrix.diagonal(), ROTATION.min_diagonal))
         while True:
@@ -55,7 +55,7 @@ def adjust_orientations(
             trial = Orientations(
                 rotations=now.rotations @ turns, focal=float(now.focal * np.exp(step[-1]))
             )
-            trial_cost = points.cost(trial, noise)
+            trial_cost = points.measure_cost(trial, noise)
             if trial_cost <= cost:
                 break
             damping *= ROTATION.damping_factor
@@ -69,11 +69,11 @@ def adjust_orientations(
     return now
 
 
-def pair_residuals(pairs: Sequence[FramePair], found: Orientations) -> list[np.ndarray]:
+def measure_residuals(pairs: Sequence[FramePair], found: Orientations) -> list[np.ndarray]:
     """Return the residuals of the points of each pair, (N,) px."""
     points = _Points(pairs)
     residuals = np.concatenate(
-        [np.hypot(*points.project(found, part)[0].T) for part in points.blocks()] or [np.zeros(0)]
+        [np.hypot(*points.project(found, part)[0].T) for part in points.split()] or [np.zeros(0)]
     )
     return np.split(residuals, points.begins[1:])
 
@@ -91,7 +91,7 @@ class _Points:
         self._before = np.concatenate([pair.before for pair in pairs] or empty)
         self._after = np.concatenate([pair.after for pair in pairs] or empty)
 
-    def blocks(self) -> Iterator[slice]:
+    def split(self) -> Iterator[slice]:
         """Yield slices of points that lie in memory together."""
         for begin in range(0, len(self._pair), _BLOCK):
             yield slice(begin, begin + _BLOCK)
@@ -107,19 +107,21 @@ class _Points:
         depth = np.maximum(turned[:, 2:], ROTATION.min_ray_z)
         return focal * turned[:, :2] / depth - self._after[part], rays, turned, turns[pair]
 
-    def cost(self, found: Orientations, noise: float) -> float:
+    def measure_cost(self, found: Orientations, noise: float) -> float:
         """Return the robust cost."""
         return sum(
             float(np.log1p((self.project(found, part)[0] ** 2).sum(axis=1) / noise**2).sum())
-            for part in self.blocks()
+            for part in self.split()
         )
 
-    def normal_equations(self, found: Orientations, noise: float) -> tuple[coo_matrix, np.ndarray]:
+    def make_normal_equations(
+        self, found: Orientations, noise: float
+    ) -> tuple[coo_matrix, np.ndarray]:
         """Return matrix and vector of the unknowns: three angles a frame, and log f."""
         count = 3 * len(found.rotations) + 1
         vector, rows, columns, values = np.zeros(count), [], [], []
-        for part in self.blocks():
-            residual, jacobian = self._jacobian(found, part)
+        for part in self.split():
+            residual, jacobian = self._differentiate(found, part)
             weights = 1 / (1 + (residual**2).sum(axis=1) / noise**2)
             weighted = jacobian * weights[:, None, None]
             pair, begins = np.unique(self._pair[part], return_index=True)
@@ -140,7 +142,7 @@ class _Points:
         entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
         return coo_matrix(entries, shape=(count, count)).tocsr(), vector
 
-    def _jacobian(self, found: Orientations, part: slice) -> tuple[np.ndarray, np.ndarray]:
+    def _differentiate(self, found: Orientations, part: slice) -> tuple[np.ndarray, np.ndarray]:
         """Return residuals, (N, 2), and their derivatives, (N, 2, 7).
 
         R₀ → R₀ exp(a) turns a ray x in the first frame into x + a × x. R₁ → R₁ exp(b) turns a ray v
@@ -158,15 +160,15 @@ class _Points:
         ) + focal * np.column_stack([u, v])
         return residual, np.concatenate(
             [
-                projection @ turns @ _cross_matrices(rays),
-                -projection @ _cross_matrices(turned),
+                projection @ turns @ _make_cross_matrices(rays),
+                -projection @ _make_cross_matrices(turned),
                 focal_change[:, :, None],
             ],
             axis=2,
         )
 
 
-def _cross_matrices(vectors: np.ndarray) -> np.ndarray:
+def _make_cross_matrices(vectors: np.ndarray) -> np.ndarray:
     """Return the matrices, (N, 3, 3), that map a to a × v for vectors v, (N, 3)."""
     x, y, z = vectors.T
     zero = np.zeros_like(x)

@@ -26,7 +26,7 @@ class FramePair:
         return float(np.median(np.hypot(*(self.after - self.before).T)))
 
 
-def frame_pairs(
+def find_frame_pairs(
     frames: Sequence[int],  # frames whose pairs are returned, in order
     observations: Sequence[Observations],  # tracks, by frame
     views: Sequence[View],

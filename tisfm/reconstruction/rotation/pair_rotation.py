@@ -5,7 +5,7 @@ import numpy as np
 from tisfm.reconstruction.rotation.settings import ROTATION
 
 
-def unit_rays(points: np.ndarray, focal: float) -> np.ndarray:
+def make_unit_rays(points: np.ndarray, focal: float) -> np.ndarray:
     """Return the unit directions to points, (N, 3); points are (N, 2) px from the centre."""
     rays = np.column_stack([points, np.full(len(points), focal)])
     return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
@@ -29,11 +29,11 @@ def fit_rotation(
     doi 10.2514/3.2555: the rotation from two directions. Kabsch, "A solution for the best rotation
     to relate two sets of vectors", 1976, doi 10.1107/S0567739476001873.
     """
-    start, end = unit_rays(before, focal), unit_rays(after, focal)
+    start, end = make_unit_rays(before, focal), make_unit_rays(after, focal)
     random = np.random.default_rng(0)  # the same input gives the same bits
     first, second = random.integers(0, len(start), (2, ROTATION.trials))
-    trials = _two_ray_axes(end[first], end[second]) @ np.swapaxes(
-        _two_ray_axes(start[first], start[second]), 1, 2
+    trials = _make_two_ray_axes(end[first], end[second]) @ np.swapaxes(
+        _make_two_ray_axes(start[first], start[second]), 1, 2
     )
     distances = focal * np.linalg.norm(start @ np.swapaxes(trials, 1, 2) - end, axis=2)
     costs = np.log1p((distances / noise) ** 2).sum(axis=1)
@@ -46,7 +46,7 @@ def fit_rotation(
     return rotation, focal * np.linalg.norm(start @ rotation.T - end, axis=1)
 
 
-def _two_ray_axes(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def _make_two_ray_axes(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return right-handed axes, (N, 3, 3), from the sum and the normal of two unit rays."""
     middle = _normalise(first + second)
     normal = _normalise(np.cross(first, second))

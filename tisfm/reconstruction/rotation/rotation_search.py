@@ -13,9 +13,9 @@ from tisfm.reconstruction.mapping.solution import FocalEstimate, Piece
 from tisfm.reconstruction.rotation.adjustment import (
     Orientations,
     adjust_orientations,
-    pair_residuals,
+    measure_residuals,
 )
-from tisfm.reconstruction.rotation.frame_pairs import FramePair, frame_pairs
+from tisfm.reconstruction.rotation.frame_pairs import FramePair, find_frame_pairs
 from tisfm.reconstruction.rotation.pair_homography import fit_homography
 from tisfm.reconstruction.rotation.pair_rotation import fit_rotation
 from tisfm.reconstruction.rotation.settings import FRAME_SIDE, ROTATION
@@ -48,23 +48,23 @@ class RotationSearch:
         None is returned if the frames show more than a rotation, less than a small turn, or no
         focal length.
         """
-        pairs = frame_pairs(
+        pairs = find_frame_pairs(
             frames, self.observations, self.views, self.matches, self.camera, self.shape
         )
-        sample = self._sample(pairs)
+        sample = self._choose_wide_pairs(pairs)
         if not sample:
             return None
         focal = self.camera.focal if is_focal_known else self._find_focal(sample)
         if focal is None:
             return None
-        if self._residual_share(sample, focal) > ROTATION.max_first_residual_share:
+        if self._measure_residual_share(sample, focal) > ROTATION.max_first_residual_share:
             return None
         piece_frames, rotations, pairs = self._chain(frames, pairs, focal)
         if len(piece_frames) < ROTATION.min_frames:
             return None
         start = Orientations(rotations=rotations, focal=focal)
         found = adjust_orientations(start, pairs, self._noise, with_focal=not is_focal_known)
-        explained = self._explained_frames(found, pairs)
+        explained = self._find_explained_frames(found, pairs)
         if explained.sum() < ROTATION.min_frames:
             return None
         if explained.mean() < ROTATION.min_explained_share:
@@ -97,7 +97,7 @@ class RotationSearch:
     def _noise(self) -> float:
         return ROTATION.outlier_pixels * self._scale
 
-    def _sample(self, pairs: Sequence[FramePair]) -> list[FramePair]:
+    def _choose_wide_pairs(self, pairs: Sequence[FramePair]) -> list[FramePair]:
         """Return pairs with large motions, spread over the frames."""
         widest: dict[int, FramePair] = {}
         for pair in pairs:
@@ -111,7 +111,7 @@ class RotationSearch:
         count = min(len(candidates), ROTATION.max_sample_pairs)
         return [candidates[k] for k in np.linspace(0, len(candidates) - 1, count).astype(int)]
 
-    def _residual_share(self, pairs: Sequence[FramePair], focal: float) -> float:
+    def _measure_residual_share(self, pairs: Sequence[FramePair], focal: float) -> float:
         """Return the median residual of a rotation for each pair, divided by the motion."""
         shares = [
             float(np.median(fit_rotation(pair.before, pair.after, focal, self._noise)[1]))
@@ -123,7 +123,7 @@ class RotationSearch:
     def _find_focal(self, pairs: Sequence[FramePair]) -> float | None:
         """Return the focal length with which rotations explain pairs best; None outside a range."""
 
-        def cost(log_focal: float) -> float:
+        def measure_cost(log_focal: float) -> float:
             return sum(
                 float(
                     np.log1p(
@@ -139,11 +139,11 @@ class RotationSearch:
 
         low, high = np.log(np.array(ROTATION.focal_range) * self._side)
         grid = np.linspace(low, high, ROTATION.focal_candidates)
-        best = int(np.argmin([cost(log_focal) for log_focal in grid]))
+        best = int(np.argmin([measure_cost(log_focal) for log_focal in grid]))
         if best in (0, len(grid) - 1):
             return None
         bounds = grid[best - 1], grid[best + 1]
-        return float(np.exp(minimize_scalar(cost, bounds=bounds, method="bounded").x))
+        return float(np.exp(minimize_scalar(measure_cost, bounds=bounds, method="bounded").x))
 
     def _chain(
         self, frames: Sequence[int], pairs: Sequence[FramePair], focal: float
@@ -187,10 +187,10 @@ class RotationSearch:
             ],
         )
 
-    def _explained_frames(self, found: Orientations, pairs: Sequence[FramePair]) -> np.ndarray:
+    def _find_explained_frames(self, found: Orientations, pairs: Sequence[FramePair]) -> np.ndarray:
         """Return which frames a rotation explains, (F,) bool, by their pairs with most motion."""
         of_frame: list[list[tuple[float, float]]] = [[] for _ in found.rotations]
-        for pair, residuals in zip(pairs, pair_residuals(pairs, found), strict=True):
+        for pair, residuals in zip(pairs, measure_residuals(pairs, found), strict=True):
             if pair.motion >= ROTATION.min_motion * self._side:
                 for frame in (pair.first, pair.second):
                     of_frame[frame].append((pair.motion, float(np.median(residuals)) / pair.motion))
@@ -214,7 +214,7 @@ class RotationSearch:
         self, found: Orientations, pairs: Sequence[FramePair]
     ) -> np.ndarray:
         """Return (N, 3): residuals of rotation and homography and the motion, px, of wide pairs."""
-        widest = self._sample(pairs)
+        widest = self._choose_wide_pairs(pairs)
         smallest = ROTATION.min_homography_residual * self._scale
         fits = [fit_homography(pair, self._side) for pair in widest]
         homographies = [max(smallest, fit) if np.isfinite(fit) else smallest for fit in fits]
@@ -222,7 +222,7 @@ class RotationSearch:
             [
                 [np.median(residuals), homography, pair.motion]
                 for pair, homography, residuals in zip(
-                    widest, homographies, pair_residuals(widest, found), strict=True
+                    widest, homographies, measure_residuals(widest, found), strict=True
                 )
             ]
         ).reshape(-1, 3)

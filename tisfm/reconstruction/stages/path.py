@@ -14,7 +14,7 @@ from tisfm.reconstruction.objects.sequence_labels import (
     label_remaining_frames,
 )
 from tisfm.reconstruction.path.camera_revision import revise_path
-from tisfm.reconstruction.path.given_path import given_path
+from tisfm.reconstruction.path.given_path import take_given_path
 from tisfm.reconstruction.path.path_solver import CameraPath, PathSolver
 from tisfm.reconstruction.path_checks.fixed_texture import camera_turns, find_fixed_pixels
 from tisfm.reconstruction.result.calibration import Calibrate, Calibration
@@ -119,7 +119,7 @@ def _find_path(
     """Return the path from tracks, or the given path with triangulated tracks."""
     camera = reading.frames.camera
     if job.poses is not None:
-        return given_path(tracks, job.poses, camera, reading.times, reading.instants)
+        return take_given_path(tracks, job.poses, camera, reading.times, reading.instants)
     readout = camera.readout
     if job.has_objects:  # a known readout is corrected; an unknown readout is not estimated
         readout = readout or 0.0

@@ -12,7 +12,7 @@ from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.frames.image_motion import TRACKING_SETTINGS
 from tisfm.reconstruction.mapping.models import continue_model
 from tisfm.reconstruction.mapping.solution import FocalEstimate, PathSolution, Piece
-from tisfm.reconstruction.path.path_solver import PathSolver, piece_of_model
+from tisfm.reconstruction.path.path_solver import PathSolver, make_piece
 from tisfm.reconstruction.rolling_shutter.correction import ReadoutCorrection, find_corrected_path
 from tisfm.reconstruction.rolling_shutter.settings import ROLLING_SHUTTER
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracks
@@ -193,7 +193,7 @@ class SlidingPath:
                 self.camera, self._is_focal_fixed = self.focal.apply_to(self.camera), True
                 self._views.set_camera(self.camera)
         for model in sorted(models, key=lambda model: min(model.poses)):
-            pieces[max([*pieces, self._piece_count - 1]) + 1] = piece_of_model(model)
+            pieces[max([*pieces, self._piece_count - 1]) + 1] = make_piece(model)
         solution = solver.complete_solution(
             list(pieces.values()), self._views.views, self.observations, self.camera
         )
@@ -224,7 +224,7 @@ class SlidingPath:
             graph = self._view_graph(sorted(fixed_views + free_views))
             model = continue_model(*graph, self.camera, self._shape, fixed_poses)
             poses = dict(sorted({**model.poses, **fixed_poses}.items()))
-            pieces[number] = replace(piece_of_model(model), poses=poses)
+            pieces[number] = replace(make_piece(model), poses=poses)
             free_views = [k for k in free_views if frames[k] not in model.poses]
         return pieces, free_views
 
