@@ -85,8 +85,8 @@ def test_overlay_that_is_kept_contradicts_the_path():
     assert "fixed on the sensor" in status.message
 
 
-@pytest.mark.parametrize("rate", [0.01])
-def test_zoom_contradicts_the_path(rate):
+def test_zoom_contradicts_the_path():
+    rate = 0.01
     result = reconstructed(zoomed(rate), calibrate="nothing")
     assert set(result.status) == {"contradicted"}
     assert "focal length changes" in result.status[0].message

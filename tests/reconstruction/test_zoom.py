@@ -10,6 +10,7 @@ import pytest
 import tisfm
 from tisfm.grade import Grade, GradeSummary
 from tisfm.metrics import absolute_errors
+from tisfm.reconstruction import pipeline
 from tisfm.reconstruction.calibration.bundle_residuals import BundleState, linearise
 from tisfm.reconstruction.calibration.camera_adjustment import adjust_camera, measure_cost
 from tisfm.reconstruction.calibration.normal_equations import reduce_equations
@@ -17,9 +18,10 @@ from tisfm.reconstruction.calibration.source_camera import add_radial
 from tisfm.reconstruction.calibration.track_bundle import TrackBundle
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import FocalEstimate, Piece
-from tisfm.reconstruction.path import camera_revision
+from tisfm.reconstruction.path import camera_revision, path_bundle
 from tisfm.reconstruction.path.path_bundle import choose_largest_piece
 from tisfm.reconstruction.path.path_solver import CameraPath, PathSolver
+from tisfm.reconstruction.path.settings import REVISION
 from tisfm.reconstruction.result.calibration import Calibration
 from tisfm.reconstruction.result.path_check import PathCheck
 from tisfm.reconstruction.result.statuses import mark_contradicted
@@ -32,6 +34,7 @@ from tisfm.status import Status
 
 FAST = tisfm.Settings.preset("fast", motion="camera")
 FOCAL = 200.0
+SHAPE = (180, 240)
 
 
 def bundle(zoom, lens=(0.0, 0.0, 0.0, 0.0), noise=0.1, seed=0):
@@ -179,13 +182,78 @@ def test_zoom_is_kept_if_it_converges_in_one_piece(monkeypatch, changes, pieces,
         monkeypatch.setattr(camera_revision, name, answer)
     monkeypatch.setattr(PathSolver, "solve", lambda *_: path)
     tracks = SequenceTracks(
-        observations=[None] * 8, views=(), matches={}, shape=(180, 240), distinct_count=8
+        observations=[None] * 8, views=(), matches={}, shape=SHAPE, distinct_count=8
     )
     solver = PathSolver(tracks=tracks, camera=path.camera)
     found = camera_revision._solve_zoom(path, solver, np.arange(8), ())
     assert (found is None) == (zoom is None)
     if found is not None:
         assert found.path.zoom[-1] == pytest.approx(np.exp(zoom)) and found.path.zoom[0] == 1
+
+
+@pytest.mark.parametrize(
+    ("zoom", "lens", "needed"),
+    [
+        (np.zeros(8), (0.0, 0.0, 0.0, 0.0), False),
+        (0.005 * np.arange(8), (0.0, 0.0, 0.0, 0.0), True),
+        (np.zeros(8), (-0.1, 0.0, 0.0, 0.0), True),
+    ],
+)
+def test_constant_focal_length_needs_no_richer_camera(monkeypatch, zoom, lens, needed):
+    monkeypatch.setattr(camera_revision, "make_bundle", lambda *_: bundle(zoom, lens))
+    path = path_of(piece_of(range(8)))
+    assert camera_revision.needs_richer_camera(path, (), SHAPE, REVISION.max_cost) == needed
+
+
+@pytest.mark.parametrize(
+    ("zoom", "focal", "options", "shown"),
+    [
+        (0.02, None, {}, True),
+        (0.0, None, {}, False),  # a constant focal length
+        (0.02, None, {"is_focal_known": False}, False),  # a guess
+        (0.02, 1.0, {"calibrate": "focal"}, True),  # estimated to 0.5 %
+        (0.02, 100.0, {"calibrate": "focal"}, False),  # to 50 %
+        (0.02, None, {"camera": tisfm.Camera(focal=1.3 * FOCAL)}, False),  # stated too long
+    ],
+)
+def test_zoom_is_shown_with_a_focal_length_that_is_known(monkeypatch, zoom, focal, options, shown):
+    zooms = zoom * np.arange(8)
+    monkeypatch.setattr(path_bundle, "make_bundle", lambda *_, **__: bundle(zooms))
+    path = path_of(piece_of(range(8)))
+    tracks = SequenceTracks(
+        observations=[None] * 8, views=(), matches={}, shape=SHAPE, distinct_count=8
+    )
+    solver = PathSolver(**{"tracks": tracks, "camera": path.camera, **options})
+    estimate = None if focal is None else FocalEstimate(focal=FOCAL, deviation=focal)
+    zoomed_path = camera_revision._ZoomedPath(
+        path=replace(path, zoom=np.exp(zooms), focal=estimate),
+        adjusted=adjust_camera(bundle(zooms), solver.camera.focal, has_zoom=True),
+    )
+    assert camera_revision._shows_zoom(path, zoomed_path, solver) == shown
+
+
+@pytest.mark.parametrize(
+    ("options", "revised"),
+    [
+        ({}, True),
+        ({"camera": tisfm.Camera(focal=FOCAL)}, True),
+        ({"calibrate": "nothing"}, False),
+        ({"calibrate": "focal"}, False),
+        ({"poses": np.tile(np.eye(4), (2, 1, 1))}, False),
+        ({"settings": tisfm.Settings.preset("fast", motion="objects")}, False),
+    ],
+)
+def test_camera_is_revised_unless_it_is_stated_what_to_find(monkeypatch, options, revised):
+    jobs = []
+
+    def reconstruct_sequence(job):
+        jobs.append(job)
+        raise InterruptedError
+
+    monkeypatch.setattr(pipeline, "reconstruct_sequence", reconstruct_sequence)
+    with pytest.raises(InterruptedError):
+        tisfm.reconstruct(np.zeros((2, 60, 80), np.uint8), **options)
+    assert jobs[0].revises_camera == revised
 
 
 def test_mask_has_the_fixed_pixels_that_all_corrected_frames_ignore(tmp_path):
@@ -277,6 +345,19 @@ def test_film_with_zoom_gets_a_focal_length_for_each_frame(film, tmp_path):
     (tmp_path / "copy" / "reconstruction.json").write_text(json.dumps(record))
     with pytest.raises(ValueError, match="zoom has a number that is not positive"):
         tisfm.Reconstruction.load(tmp_path / "copy")
+
+
+@pytest.mark.nightly
+def test_zoom_of_frames_that_are_cropped_and_shrunk(film):
+    """The focal length of each frame has the unit of the frames of the source."""
+    zoom = 1.012 ** np.arange(12)
+    frames = [np.pad(frame, ((8, 8), (10, 10))) for frame in zoomed(film.frames, zoom)]
+    result = tisfm.reconstruct(
+        frames, camera=film.camera, settings=FAST, depth_of="none", crop=(10, 8, 240, 180), size=200
+    )
+    assert np.abs(result.focal / (film.camera.focal * zoom) - 1).max() < 0.03
+    assert result.shape == (150, 200)
+    assert result.camera.focal == pytest.approx(film.camera.focal * 200 / 240)
 
 
 @pytest.mark.nightly
