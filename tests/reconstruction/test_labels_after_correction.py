@@ -16,7 +16,7 @@ from tisfm.lens import Undistortion
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import FocalEstimate
 from tisfm.reconstruction.objects.sequence_labels import SequenceLabels, find_static_path
-from tisfm.reconstruction.path.path_solver import CameraPath
+from tisfm.reconstruction.path.camera_path import CameraPath
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import bodies_path
 from tisfm.shutter import RollingShutterMotion

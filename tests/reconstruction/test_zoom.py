@@ -19,8 +19,9 @@ from tisfm.reconstruction.calibration.track_bundle import TrackBundle
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import FocalEstimate, Piece
 from tisfm.reconstruction.path import camera_revision, path_bundle
+from tisfm.reconstruction.path.camera_path import CameraPath
 from tisfm.reconstruction.path.path_bundle import choose_largest_piece
-from tisfm.reconstruction.path.path_solver import CameraPath, PathSolver
+from tisfm.reconstruction.path.path_solver import PathSolver
 from tisfm.reconstruction.path.settings import REVISION
 from tisfm.reconstruction.result.calibration import Calibration
 from tisfm.reconstruction.result.path_check import PathCheck

@@ -20,7 +20,7 @@ from tisfm.reconstruction.objects.motion_evidence import (
 from tisfm.reconstruction.objects.path_evidence import BelowGroundSearch, StaticDepth, path_evidence
 from tisfm.reconstruction.objects.settings import OBJECTS
 from tisfm.reconstruction.objects.tracked_objects import MAX_OBJECTS
-from tisfm.reconstruction.path.path_solver import CameraPath
+from tisfm.reconstruction.path.camera_path import CameraPath
 from tisfm.reconstruction.result.calibration import Calibrate
 
 

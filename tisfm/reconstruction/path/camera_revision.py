@@ -17,6 +17,7 @@ from tisfm.reconstruction.calibration.camera_adjustment import AdjustedCamera, a
 from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.mapping.models import ViewGraph
 from tisfm.reconstruction.mapping.settings import MAPPING
+from tisfm.reconstruction.path.camera_path import CameraPath
 from tisfm.reconstruction.path.lens_revision import revise_lens
 from tisfm.reconstruction.path.path_bundle import (
     adjust_largest_piece,
@@ -27,7 +28,7 @@ from tisfm.reconstruction.path.path_bundle import (
     has_other_focal,
     make_bundle,
 )
-from tisfm.reconstruction.path.path_solver import CameraPath, PathSolver
+from tisfm.reconstruction.path.path_solver import PathSolver
 from tisfm.reconstruction.path.settings import REVISION
 from tisfm.reconstruction.submaps.settings import SUBMAPS
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracks

@@ -7,8 +7,8 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.reconstruction.mapping.solution import Piece
+from tisfm.reconstruction.path.camera_path import CameraPath
 from tisfm.reconstruction.path.given_poses import find_frame_poses
-from tisfm.reconstruction.path.path_solver import CameraPath
 from tisfm.reconstruction.rolling_shutter.correction import ReadoutCorrection
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracks
 from tisfm.reconstruction.tracks.tracker import Observations

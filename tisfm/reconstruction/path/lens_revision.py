@@ -14,6 +14,7 @@ from tisfm.camera import Camera
 from tisfm.reconstruction.calibration.bundle_residuals import COMMON
 from tisfm.reconstruction.calibration.camera_adjustment import AdjustedCamera, adjust_camera
 from tisfm.reconstruction.mapping.solution import FocalEstimate
+from tisfm.reconstruction.path.camera_path import CameraPath
 from tisfm.reconstruction.path.path_bundle import (
     adjust_largest_piece,
     compare_costs,
@@ -21,13 +22,9 @@ from tisfm.reconstruction.path.path_bundle import (
     count_views,
     has_other_focal,
 )
-from tisfm.reconstruction.path.path_solver import (
-    CameraPath,
-    PathSolver,
-    undistort_tracks,
-    undistort_views,
-)
+from tisfm.reconstruction.path.path_solver import PathSolver
 from tisfm.reconstruction.path.settings import REVISION
+from tisfm.reconstruction.path.undistortion import undistort_tracks, undistort_views
 
 ADVICE = "give the camera with its distortion"
 

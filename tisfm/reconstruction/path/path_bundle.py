@@ -9,7 +9,7 @@ from tisfm.camera import Camera
 from tisfm.reconstruction.calibration.camera_adjustment import AdjustedCamera, adjust_camera
 from tisfm.reconstruction.calibration.track_bundle import TrackBundle
 from tisfm.reconstruction.mapping.solution import Piece
-from tisfm.reconstruction.path.path_solver import CameraPath
+from tisfm.reconstruction.path.camera_path import CameraPath
 from tisfm.reconstruction.path.settings import REVISION
 from tisfm.reconstruction.tracks.tracker import Observations
 

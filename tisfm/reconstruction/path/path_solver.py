@@ -1,6 +1,5 @@
 """The camera path of a sequence, estimated from tracks and matches of views."""
 
-from bisect import bisect_left
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -8,26 +7,18 @@ from functools import partial
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.calibration.self_calibration import (
-    find_models_and_focal,
-    undistort_observations,
-    undistort_points,
-)
+from tisfm.reconstruction.calibration.self_calibration import find_models_and_focal
 from tisfm.reconstruction.causes.cause_search import CauseSearch
-from tisfm.reconstruction.frames.disk_cache import DiskCache
-from tisfm.reconstruction.mapping.models import (
-    Model,
-    find_models,
-    pose_from_points,
-    readjust_models,
-)
+from tisfm.reconstruction.mapping.models import Model, find_models, readjust_models
 from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.mapping.solution import FocalEstimate, PathSolution, Piece
-from tisfm.reconstruction.path.missing_poses import MissingPoses, split_runs
+from tisfm.reconstruction.path.camera_path import CameraPath
+from tisfm.reconstruction.path.missing_poses import MissingPoses
+from tisfm.reconstruction.path.remaining_frames import add_remaining_frames
+from tisfm.reconstruction.path.turning_pieces import add_turning_pieces
+from tisfm.reconstruction.path.undistortion import undistort_tracks, undistort_views
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.rolling_shutter.correction import ReadoutCorrection, find_corrected_path
-from tisfm.reconstruction.rotation.rotation_search import RotationSearch
-from tisfm.reconstruction.rotation.settings import ROTATION
 from tisfm.reconstruction.submaps.joining import focal_from_submaps, models_from_submaps
 from tisfm.reconstruction.submaps.settings import SUBMAPS
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracker, SequenceTracks
@@ -35,35 +26,6 @@ from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 from tisfm.shutter import RollingShutterMotion
 from tisfm.status import Status
-
-
-@dataclass(frozen=True, kw_only=True)
-class CameraPath:
-    """Poses of frames, in pieces, and the reasons for missing poses."""
-
-    # pieces in the order of their first frames; each frame is in at most one piece
-    pieces: tuple[Piece, ...]
-    missing: Mapping[int, Status]  # reason for each frame that is in no piece
-    observations: Sequence[Observations]  # tracks in every frame
-    # Camera with the focal length of the path, and with distortion if distortion was estimated.
-    # Poses, points and tracks belong to its pinhole, without distortion.
-    camera: Camera
-    # the estimate, if the focal length was to be estimated and a path was found
-    focal: FocalEstimate | None = None
-    # With a rolling shutter: the motion during readout. Poses, points and tracks are those of
-    # middle rows.
-    rolling: RollingShutterMotion | None = None
-    # (N,) float64: focal length of each frame over that of the first frame; None if it is constant.
-    # Poses, points and tracks belong to the focal length of the first frame.
-    zoom: np.ndarray | None = None
-    score: float = 0.0  # as for `PathSolution`
-    # why the camera cannot be right, and what to do; "" if nothing says so
-    objection: str = ""
-
-    @property
-    def pieces_with_positions(self) -> list[Piece]:
-        """The pieces in which the camera does more than turn."""
-        return [piece for piece in self.pieces if not piece.only_turns]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +65,12 @@ class PathSolver:
             count = len(tracks.observations)
             instants = np.arange(count) if instants is None else np.asarray(instants)
             solution, rolling = self._correct_readout(solution, instants)
-        solution = self._add_rotations(solution)
+        solution = add_turning_pieces(
+            solution,
+            tracks,
+            is_focal_known=self.calibrate == "nothing",
+            max_deviation=self.max_deviation,
+        )
         return CameraPath(
             pieces=tuple(sorted(solution.pieces, key=lambda piece: min(piece.poses))),
             missing=self.find_missing(solution),
@@ -202,47 +169,6 @@ class PathSolver:
             focal=focal,
             score=score,
         )
-
-    def _add_rotations(self, solution: PathSolution) -> PathSolution:
-        """Return the solution with pieces in which the camera only turns.
-
-        If there is no other piece, and the focal length is to be estimated, the rotations show it.
-        """
-        runs = [
-            run for run in split_runs(solution.missing_frames) if len(run) >= ROTATION.min_frames
-        ]
-        if not runs:
-            return solution
-        is_focal_known = self.calibrate == "nothing" or bool(solution.pieces)
-        search = RotationSearch(
-            observations=solution.observations,
-            views=undistort_views(solution.views, solution.camera, self.tracks.shape),
-            matches=self.tracks.matches,
-            camera=solution.camera.pinhole(),
-            shape=self.tracks.shape,
-            max_deviation=self.max_deviation,
-        )
-        while runs:
-            run = runs.pop(0)
-            found = search.find_piece(run, is_focal_known=is_focal_known)
-            if found is None:
-                continue
-            piece, estimate = found
-            solution = replace(
-                solution,
-                pieces=[*solution.pieces, piece],
-                missing_frames=[k for k in solution.missing_frames if k not in piece.poses],
-            )
-            rest = [frame for frame in run if frame not in piece.poses]
-            if len(rest) >= ROTATION.min_frames:  # another pan, as after a cut
-                runs.insert(0, rest)
-            if estimate is not None:  # of the first run; later runs have this focal length too
-                solution = replace(
-                    solution, camera=estimate.apply_to(solution.camera), focal=estimate
-                )
-                search = replace(search, camera=solution.camera.pinhole())
-                is_focal_known = True
-        return solution
 
     def _correct_readout(
         self, solution: PathSolution, instants: np.ndarray
@@ -369,71 +295,3 @@ def find_path(
         tracks=tracker.finish(), camera=camera, readout=readout, is_focal_known=is_focal_known
     )
     return solver.solve()
-
-
-def undistort_tracks(
-    tracks: Sequence[Observations], camera: Camera, shape: tuple[int, int]
-) -> Sequence[Observations]:
-    """Return the tracks of every frame as a pinhole would see them."""
-    if camera.is_pinhole:
-        return tracks
-    undistorted = DiskCache(Observations.to_arrays, Observations.from_arrays)
-    for observations in tracks:
-        undistorted.append(undistort_observations(observations, camera, shape))
-    return undistorted
-
-
-def undistort_views(
-    views: Sequence[View], camera: Camera, shape: tuple[int, int]
-) -> Sequence[View]:
-    """Return views as a pinhole would see them."""
-    if camera.is_pinhole:
-        return views
-    undistorted = DiskCache(View.to_arrays, View.from_arrays)
-    for view in views:
-        undistorted.append(
-            View(
-                frame=view.frame,
-                observations=undistort_observations(view.observations, camera, shape),
-                detected=undistort_points(view.detected, camera, shape),
-            )
-        )
-    return undistorted
-
-
-def add_remaining_frames(
-    pieces: Sequence[Piece],
-    observations: Sequence[Observations],  # tracks in every frame
-    frames: Iterable[int],  # frames to add
-    camera: Camera,  # pinhole camera of the frames
-    shape: tuple[int, int],  # height and width of the frames, px
-) -> tuple[list[Piece], list[int]]:
-    """Add the frames between views to pieces; return the pieces and the frames without a piece."""
-    piece_of_frame = {frame: k for k, piece in enumerate(pieces) for frame in piece.poses}
-    sorted_frames = sorted(piece_of_frame)
-    poses_of_pieces: list[dict[int, np.ndarray]] = [dict(piece.poses) for piece in pieces]
-    missing_frames = []
-    for frame in frames:
-        if frame in piece_of_frame:
-            continue
-        for k in _find_nearest_pieces(frame, piece_of_frame, sorted_frames):
-            pose = pose_from_points(observations[frame], pieces[k].points, camera, shape)
-            if pose is not None:
-                poses_of_pieces[k][frame] = pose
-                break
-        else:
-            missing_frames.append(frame)
-    return [
-        replace(piece, poses=dict(sorted(poses.items())))
-        for piece, poses in zip(pieces, poses_of_pieces, strict=True)
-    ], missing_frames
-
-
-def _find_nearest_pieces(
-    frame: int, piece_of_frame: Mapping[int, int], sorted_frames: Sequence[int]
-) -> list[int]:
-    """Return the pieces of the nearest frames before and after a frame, without repetition."""
-    after = bisect_left(sorted_frames, frame)
-    neighbours = [*sorted_frames[max(0, after - 1) : after], *sorted_frames[after : after + 1]]
-    neighbours.sort(key=lambda other: abs(other - frame))
-    return list(dict.fromkeys(piece_of_frame[other] for other in neighbours))

@@ -6,7 +6,7 @@ import numpy as np
 
 from tisfm.reconstruction.causes.cause_search import CauseSearch
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
-from tisfm.reconstruction.path.path_solver import CameraPath
+from tisfm.reconstruction.path.camera_path import CameraPath
 from tisfm.reconstruction.path_checks.pieces import check_piece
 from tisfm.reconstruction.result.folder import depth_path, read_depth
 from tisfm.reconstruction.result.path_check import UNCHECKED, PathCheck

@@ -8,7 +8,7 @@ import numpy as np
 from tisfm.grade import depth_error
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import Piece
-from tisfm.reconstruction.path.path_solver import CameraPath
+from tisfm.reconstruction.path.camera_path import CameraPath
 from tisfm.reconstruction.result.folder import write_depth
 from tisfm.reconstruction.result.statuses import NO_PARALLAX, ONLY_TURNS, add_piece_note
 from tisfm.reconstruction.stages.job import Job

@@ -13,9 +13,10 @@ from tisfm.reconstruction.objects.sequence_labels import (
     find_static_path,
     label_remaining_frames,
 )
+from tisfm.reconstruction.path.camera_path import CameraPath
 from tisfm.reconstruction.path.camera_revision import revise_path
 from tisfm.reconstruction.path.given_path import take_given_path
-from tisfm.reconstruction.path.path_solver import CameraPath, PathSolver
+from tisfm.reconstruction.path.path_solver import PathSolver
 from tisfm.reconstruction.path_checks.fixed_texture import camera_turns, find_fixed_pixels
 from tisfm.reconstruction.result.calibration import Calibrate, Calibration
 from tisfm.reconstruction.result.moving_object import refuse_unknown_ids

@@ -5,7 +5,7 @@ import numpy as np
 from tisfm.camera_file import FILE_NAME as CAMERA
 from tisfm.camera_file import write_camera
 from tisfm.grade import depth_error
-from tisfm.reconstruction.path.path_solver import CameraPath
+from tisfm.reconstruction.path.camera_path import CameraPath
 from tisfm.reconstruction.result.calibration import Calibration, as_json
 from tisfm.reconstruction.result.folder import read_depth, write_mask, write_record
 from tisfm.reconstruction.result.moving_object import MovingObject

@@ -1,0 +1,41 @@
+"""The camera path of a sequence: poses of frames, and the reasons for missing poses."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.reconstruction.mapping.solution import FocalEstimate, Piece
+from tisfm.reconstruction.tracks.tracker import Observations
+from tisfm.shutter import RollingShutterMotion
+from tisfm.status import Status
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraPath:
+    """Poses of frames, in pieces, and the reasons for missing poses."""
+
+    # pieces in the order of their first frames; each frame is in at most one piece
+    pieces: tuple[Piece, ...]
+    missing: Mapping[int, Status]  # reason for each frame that is in no piece
+    observations: Sequence[Observations]  # tracks in every frame
+    # Camera with the focal length of the path, and with distortion if distortion was estimated.
+    # Poses, points and tracks belong to its pinhole, without distortion.
+    camera: Camera
+    # the estimate, if the focal length was to be estimated and a path was found
+    focal: FocalEstimate | None = None
+    # With a rolling shutter: the motion during readout. Poses, points and tracks are those of
+    # middle rows.
+    rolling: RollingShutterMotion | None = None
+    # (N,) float64: focal length of each frame over that of the first frame; None if it is constant.
+    # Poses, points and tracks belong to the focal length of the first frame.
+    zoom: np.ndarray | None = None
+    score: float = 0.0  # as for `PathSolution`
+    # why the camera cannot be right, and what to do; "" if nothing says so
+    objection: str = ""
+
+    @property
+    def pieces_with_positions(self) -> list[Piece]:
+        """The pieces in which the camera does more than turn."""
+        return [piece for piece in self.pieces if not piece.only_turns]
