@@ -1,6 +1,6 @@
 """Image motion between neighbouring frames, computed at a reduced size, and chained over frames."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -86,6 +86,15 @@ class FlowCache:
             lambda flow: (flow.astype(np.float16),), lambda flow: flow.astype(np.float32)
         )
 
+    def keep(self, number: int, flow: np.ndarray) -> None:
+        """Store a motion that was computed elsewhere, as `flow_to` would compute it."""
+        self._cache_indices[number] = len(self._flows)
+        self._flows.append(flow)
+
+    def kept_flow_to(self, number: int) -> np.ndarray | None:
+        """Return `flow_to` of a frame if it is known already, or None."""
+        return self._flows[self._cache_indices[number]] if number in self._cache_indices else None
+
     def flow_to(self, number: int) -> np.ndarray:
         """Return the motion from the previous frame, (h, w, 2) float32, px of the shrunk frames."""
         if number not in self._cache_indices:
@@ -93,9 +102,19 @@ class FlowCache:
             small0, small1 = shrink_for_flow(previous), shrink_for_flow(current)
             scale = flow_scale(small1, current)
             flow = find_flow(small0, small1, scale, self._camera, TRACKING_SETTINGS)
-            self._cache_indices[number] = len(self._flows)
-            self._flows.append(flow)
+            self.keep(number, flow)
         return self._flows[self._cache_indices[number]]
+
+
+def chain_flows(
+    flows: Sequence[np.ndarray],  # (h, w, 2) float32 each: from every frame to the next one, px
+) -> np.ndarray:  # (h, w, 2) float32
+    """Return the motion from the first frame of several flows to the last one."""
+    start = pixel_grid(flows[0].shape)
+    positions = start + flows[0]
+    for flow in flows[1:]:
+        positions = positions + sample_image(flow, positions)
+    return positions - start
 
 
 @dataclass(frozen=True, kw_only=True)

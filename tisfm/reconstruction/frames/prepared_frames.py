@@ -15,6 +15,7 @@ from tisfm.formats.atomic import copy_file
 from tisfm.formats.npz import write_npy
 from tisfm.frames import check_frame, grey_pair, to_eight_bit
 from tisfm.lens import Undistortion
+from tisfm.reconstruction.frames.settings import FRAME_FLOW
 from tisfm.reconstruction.result.folder import read_labels, read_picture, write_labels
 from tisfm.resampling import Resampling, ZoomRemoval
 from tisfm.shutter import GlobalShutterFrameMap, RollingShutterMotion
@@ -194,13 +195,27 @@ class PreparedFrames:
 
         The motion is computed once (`FlowCache.flow_to`), and again after frames were corrected.
         """
-        if number == 0:
-            return None
+        return None if number == 0 else self._flows().flow_to(number)
+
+    def keep_flow(self, number: int, flow: np.ndarray) -> None:
+        """Store the image motion from the previous frame, as `flow` would compute it.
+
+        Only the first frames are kept, for the checks of short films; longer ones would fill the
+        disk.
+        """
+        if number < FRAME_FLOW.max_kept_flows:
+            self._flows().keep(number, flow)
+
+    def kept_flow(self, number: int) -> np.ndarray | None:
+        """Return the result of `flow` if it is known already; None otherwise."""
+        return None if self._flow_cache is None else self._flow_cache.kept_flow_to(number)
+
+    def _flows(self) -> "FlowCache":
         if self._flow_cache is None:
             from tisfm.reconstruction.frames.image_motion import FlowCache
 
             self._flow_cache = FlowCache(self.camera, lambda frame: self.tracker_input(frame)[0])
-        return self._flow_cache.flow_to(number)
+        return self._flow_cache
 
     def _resample(self, number: int, resampling: Resampling) -> None:
         self._flow_cache = None

@@ -10,16 +10,23 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.motion.egomotion import TooFewPixelsError, camera_motion
+from tisfm.motion.egomotion import (
+    TooFewPixelsError,
+    camera_motion,
+    deviation_from_pose,
+    refine_motion,
+)
 from tisfm.motion.epipolar_fit import Pose, Rays
 from tisfm.reconstruction.frames.image_motion import (
     TRACKING_SETTINGS,
-    consistency_mask,
     find_flow,
     flow_scale,
+    pixel_grid,
+    sample_image,
     shrink_for_flow,
 )
 from tisfm.reconstruction.path_checks.settings import PATH_CHECKS
+from tisfm.reconstruction.result.path_check import LIMITS
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,33 +50,45 @@ def find_dense_pair(
     motion: np.ndarray,  # (4, 4): from the first camera to the second, P₁ = R P₀ + t
     camera: Camera,  # pinhole camera of the frames
     is_static: np.ndarray,  # (H, W) bool: pixels of the first frame that show the static scene
+    # (h, w, 2) float32: image motion, px of the shrunk frames; by default it is computed
+    flow: np.ndarray | None = None,
 ) -> DensePair | None:
     """Return the rays and motions of a pair; None if there are too few textured pixels."""
     small0, small1 = shrink_for_flow(first[1]), shrink_for_flow(second[1])
     scale = flow_scale(small0, first[1])
-    forward, backward = (
-        find_flow(*frames, scale, camera, TRACKING_SETTINGS)
-        for frames in ((small0, small1), (small1, small0))
-    )
+    if flow is None:
+        flow = find_flow(small0, small1, scale, camera, TRACKING_SETTINGS)
     height, width = small0.shape
     size = width, height
     static = cv2.resize(is_static.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-    used = (consistency_mask(forward, backward) > 0) & find_textured_pixels(small0) & static
+    used = find_textured_pixels(small0) & static
     border = PATH_CHECKS.border
     used[:border] = used[-border:] = False
     used[:, :border] = used[:, -border:] = False
+    used &= find_matching_pixels(small0, small1, flow, used)
     rows, columns = np.nonzero(used)
     baseline = float(np.linalg.norm(motion[:3, 3]))
     if len(rows) < PATH_CHECKS.min_pixels or baseline == 0:
         return None
     small_camera = camera.scaled(scale, *first[1].shape)
+    path = motion[:3, :3], motion[:3, 3] / baseline
+    confidence = used.astype(np.float32)
     try:
-        free = camera_motion(forward, used.astype(np.float32), small_camera)
+        # Where the path explains the image motion, no other motion does so clearly better: the
+        # motion near the path is enough, which takes a fraction of the time.
+        explains = deviation_from_pose(flow, confidence, small_camera, *path) < _enough_residual()
+        free = (
+            refine_motion(flow, confidence, small_camera, path)
+            if explains
+            else camera_motion(flow, confidence, small_camera)
+        )
     except TooFewPixelsError:
         return None
+    stride = max(1, len(rows) // PATH_CHECKS.max_rays)
+    rows, columns = rows[::stride], columns[::stride]
     cx, cy = small_camera.center_for(height, width)
     positions = np.stack([columns - cx, rows - cy]).astype(np.float64)
-    displacements = forward[rows, columns].T
+    displacements = flow[rows, columns].T
     return DensePair(
         first=first[0],
         second=second[0],
@@ -82,9 +101,46 @@ def find_dense_pair(
             trust=np.ones(len(rows)),
             focal=small_camera.focal,
         ),
-        path=(motion[:3, :3], motion[:3, 3] / baseline),
+        path=path,
         free=(free.rotation, free.translation / np.linalg.norm(free.translation)),
     )
+
+
+def _enough_residual() -> float:
+    """Return the residual of a path, px, below which no residual of a free motion contradicts."""
+    return LIMITS.max_residual_ratio * PATH_CHECKS.min_residual
+
+
+def find_matching_pixels(
+    # grey0, grey1: (h, w) float32 grey levels
+    grey0: np.ndarray,
+    grey1: np.ndarray,
+    flow: np.ndarray,  # (h, w, 2) float32: px
+    is_textured: np.ndarray,  # (h, w) bool: pixels of the first frame that are compared
+) -> np.ndarray:
+    """Return the pixels whose neighbourhood looks alike where the flow leads, (h, w) bool.
+
+    Hidden pixels and a wrong flow make neighbourhoods differ more than most. The difference is
+    divided by the texture, so it is a shift in px. A change of the light of a neighbourhood does
+    not count.
+    """
+    height, width = grey0.shape
+    positions = pixel_grid(grey0.shape) + flow
+    difference = grey0 - sample_image(grey1, positions)
+    window = (PATH_CHECKS.match_window,) * 2
+    difference -= cv2.boxFilter(difference, -1, window)
+    gradient_x, gradient_y = (
+        cv2.Sobel(grey0, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1))
+    )
+    texture = cv2.boxFilter(cv2.magnitude(gradient_x, gradient_y), -1, window)
+    shift = cv2.boxFilter(np.abs(difference), -1, window) / (texture + PATH_CHECKS.texture_floor)
+    x, y = cv2.split(positions)
+    is_inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1) & is_textured
+    if not is_inside.any():
+        return is_inside
+    usual = float(np.median(shift[is_inside]))
+    limit = PATH_CHECKS.max_relative_shift * max(usual, PATH_CHECKS.min_usual_shift)
+    return np.asarray(is_inside & (shift < limit))
 
 
 def find_textured_pixels(

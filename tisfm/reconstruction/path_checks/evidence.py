@@ -25,11 +25,10 @@ def weigh_pair(
     inverse_depth: np.ndarray | None,  # (h, w): of the shrunk first frame
 ) -> PairEvidence:
     """Return the evidence of a pair for and against the path."""
-    sample = pair.rays.subsample(max(1, len(pair.rows) // PATH_CHECKS.max_rays))
     path_points, free_points = (nearest_points(pair.rays, *pose) for pose in (pair.path, pair.free))
     path_residual, free_residual = (
-        robust_deviation(np.abs(nearest_points(sample, *pose).distance), sample.trust)
-        for pose in (pair.path, pair.free)
+        robust_deviation(np.abs(points.distance), pair.rays.trust)
+        for points in (path_points, free_points)
     )
     limit = max(PATH_CHECKS.off_line_distance, PATH_CHECKS.off_line_deviations * free_residual)
     off_path, off_free = (
@@ -40,7 +39,7 @@ def weigh_pair(
         for pose in (pair.path, pair.free)
     )
     behind = (path_points.inverse_depth < 0) & (path_parallax > limit)
-    zoom, zoom_deviation, zoom_residual = fit_zoom(sample, pair.free)
+    zoom, zoom_deviation, zoom_residual = fit_zoom(pair.rays, pair.free)
     return PairEvidence(
         first=pair.first,
         second=pair.second,
@@ -48,7 +47,7 @@ def weigh_pair(
         residual_ratio=max(path_residual, PATH_CHECKS.min_residual)
         / max(free_residual, PATH_CHECKS.min_residual),
         direction=measure_angle(pair.path[1], pair.free[1]),
-        direction_deviation=find_direction_deviation(sample, pair.free),
+        direction_deviation=find_direction_deviation(pair.rays, pair.free),
         rotation=measure_turn(pair.path[0] @ pair.free[0].T),
         behind=float(behind.mean()),
         rank=correlate_depth(pair, free_points, inverse_depth),

@@ -79,12 +79,12 @@ def measure_fixed_texture(
     """Return the texture that is fixed on the sensor."""
     small = [shrink_for_flow(np.asarray(frame, np.float32)) for frame in frames]
     stack = np.stack(small)
-    middle = np.median(stack, axis=0)
+    middle = find_median(stack)
     window = (PATH_CHECKS.fixed_window,) * 2
-    deviation = cv2.boxFilter(np.median(np.abs(stack - middle), axis=0), -1, window)
+    deviation = cv2.boxFilter(find_median(np.abs(stack - middle)), -1, window)
     texture_of_median = cv2.boxFilter(measure_gradient(middle), -1, window)
-    texture = np.median(
-        [cv2.boxFilter(measure_gradient(frame), -1, window) for frame in small], axis=0
+    texture = find_median(
+        np.stack([cv2.boxFilter(measure_gradient(frame), -1, window) for frame in small])
     )
     is_textured = texture > PATH_CHECKS.min_fixed_gradient
     shift = (
@@ -108,6 +108,14 @@ def measure_fixed_texture(
         fixed_share=fixed_share,
         moving_share=float(is_textured.mean()) - fixed_share,
     )
+
+
+def find_median(
+    stack: np.ndarray,  # (N, H, W)
+) -> np.ndarray:
+    """Return the median over the first axis; `np.median` takes three times as long."""
+    ordered = np.sort(stack, axis=0)
+    return np.asarray((ordered[(len(stack) - 1) // 2] + ordered[len(stack) // 2]) / 2)
 
 
 def measure_gradient(grey: np.ndarray) -> np.ndarray:

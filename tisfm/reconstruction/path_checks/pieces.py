@@ -1,14 +1,17 @@
 """All checks of a piece of a path."""
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from typing import Protocol
 
 import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.frames.image_motion import flow_scale, shrink_for_flow
+from tisfm.reconstruction.frames.image_motion import (
+    chain_flows,
+    flow_scale,
+    shrink_for_flow,
+)
 from tisfm.reconstruction.path_checks.dense_pairs import find_dense_pair
 from tisfm.reconstruction.path_checks.evidence import weigh_pair
 from tisfm.reconstruction.path_checks.fixed_texture import (
@@ -19,6 +22,11 @@ from tisfm.reconstruction.path_checks.fixed_texture import (
 from tisfm.reconstruction.path_checks.settings import PATH_CHECKS
 from tisfm.reconstruction.result.path_check import PairEvidence, PathCheck
 from tisfm.reconstruction.tracks.tracker import Observations
+
+
+# Number of a frame → (h, w, 2) float32 motion from the previous frame, px of the shrunk frames, or
+# None if it was not kept.
+KeptFlow = Callable[[int], np.ndarray | None]
 
 
 class FrameObservations(Protocol):
@@ -35,40 +43,61 @@ def check_piece(
     is_static: Callable[[int], np.ndarray],  # frame → (H, W) bool
     inverse_depth: Callable[[int], np.ndarray | None],  # frame → (H, W)
     camera: Camera,  # pinhole camera of the frames
+    kept_flow: KeptFlow = lambda _: None,
 ) -> PathCheck:
     """Check a piece of a path by pairs of its frames."""
     pairs = []
     for first in choose_first_frames(list(poses), keyframes):
-        depth = partial(inverse_depth, first)
-        pair = check_pair(first, poses, observations, grey, is_static, camera, depth)
+        pair = check_pair(
+            first, poses, observations, grey, is_static, camera, inverse_depth, kept_flow
+        )
         if pair is not None:
             pairs.append(pair)
     return check_with_pairs(pairs, poses, grey, camera)
 
 
 def check_pair(
-    first: int,
-    poses: Mapping[int, np.ndarray],  # poses, observations, grey, is_static, camera: as for a piece
+    frame: int,
+    poses: Mapping[int, np.ndarray],  # poses and the arguments after it: as for a piece
     observations: FrameObservations,
     grey: Callable[[int], np.ndarray],
     is_static: Callable[[int], np.ndarray],
     camera: Camera,
-    inverse_depth: Callable[[], np.ndarray | None] = lambda: None,  # (H, W), of the first frame
+    inverse_depth: Callable[[int], np.ndarray | None] = lambda _: None,
+    kept_flow: KeptFlow = lambda _: None,
 ) -> PairEvidence | None:
-    """Return the evidence of a frame and another one; None if no other frame is suitable."""
+    """Return the evidence of a frame and another one; None if no other frame is suitable.
+
+    If the image motion between the frames was kept, the pair goes forward in time.
+    """
+    first = frame
     second = choose_second_frame(first, list(poses), observations, max(grey(first).shape))
     if second is None:
         return None
+    flow = chain_kept_flow(kept_flow, *sorted((first, second)))
+    if flow is not None:
+        first, second = sorted((first, second))
     motion = np.linalg.inv(poses[second]) @ poses[first]
     pair = find_dense_pair(
-        (first, grey(first)), (second, grey(second)), motion, camera, is_static(first)
+        (first, grey(first)), (second, grey(second)), motion, camera, is_static(first), flow
     )
     if pair is None:
         return None
-    depth = inverse_depth()
+    depth = inverse_depth(first)
     if depth is not None:
         depth = cv2.resize(depth, pair.shape[::-1], interpolation=cv2.INTER_NEAREST)
     return weigh_pair(pair, depth)
+
+
+def chain_kept_flow(kept_flow: KeptFlow, first: int, last: int) -> np.ndarray | None:
+    """Return the kept motion from a frame to a later one; None if a part of it was not kept."""
+    flows = []
+    for number in range(first + 1, last + 1):
+        flow = kept_flow(number)
+        if flow is None:
+            return None
+        flows.append(flow)
+    return chain_flows(flows)
 
 
 def check_with_pairs(
@@ -92,22 +121,31 @@ def check_with_pairs(
 def choose_first_frames(frames: Sequence[int], keyframes: Sequence[int]) -> list[int]:
     """Return the first frames of the pairs: keyframes, or frames if there are few keyframes."""
     known = set(frames)
+    count = round(len(frames) / PATH_CHECKS.frames_per_pair)
+    count = min(max(count, PATH_CHECKS.min_pairs), PATH_CHECKS.max_pairs)
     candidates = [frame for frame in keyframes if frame in known]
     if len(candidates) < PATH_CHECKS.min_keyframes:
-        candidates = sorted({*candidates, *spread_evenly(frames, PATH_CHECKS.max_pairs)})
-    return spread_evenly(candidates, PATH_CHECKS.max_pairs)
+        candidates = sorted({*candidates, *spread_evenly(frames, count)})
+    return spread_evenly(candidates, count)
 
 
 def choose_second_frame(
     first: int, frames: Sequence[int], observations: FrameObservations, longer_side: int
 ) -> int | None:
-    """Return the frame whose tracks have moved by about the wanted share of the longer side."""
+    """Return the frame whose tracks have moved by about the wanted share of the longer side.
+
+    Frames that share few tracks with the first one, compared with the nearest frame, are too far.
+    """
+    motions = [
+        (other, *measure_track_motion(observations[first], observations[other]))
+        for other in frames
+        if 0 < abs(other - first) <= PATH_CHECKS.max_pair_steps
+    ]
+    most_tracks = max((count for _, _, count in motions), default=0)
+    min_tracks = max(PATH_CHECKS.min_pair_tracks, PATH_CHECKS.min_kept_tracks * most_tracks)
     best, lowest_cost = None, np.inf
-    for other in frames:
-        if not 0 < abs(other - first) <= PATH_CHECKS.max_pair_steps:
-            continue
-        pixels = measure_track_motion(observations[first], observations[other])
-        if pixels is None:
+    for other, pixels, count in motions:
+        if count < min_tracks:
             continue
         motion = max(pixels / longer_side, PATH_CHECKS.min_pair_motion)
         cost = abs(np.log(motion / PATH_CHECKS.pair_motion))
@@ -118,9 +156,10 @@ def choose_second_frame(
     return best
 
 
-def measure_track_motion(first: Observations, second: Observations) -> float | None:
-    """Return the median motion of the tracks of two frames, px; None for too few."""
-    _, rows, others = np.intersect1d(first.tracks, second.tracks, return_indices=True)
-    if len(rows) < PATH_CHECKS.min_pair_tracks:
-        return None
-    return float(np.median(np.hypot(*(second.points[others] - first.points[rows]).T)))
+def measure_track_motion(first: Observations, second: Observations) -> tuple[float, int]:
+    """Return the median motion of the tracks of two frames, px, and their number."""
+    indices, other_indices = first.common_tracks(second)
+    if not len(indices):
+        return 0.0, 0
+    motion = second.points[other_indices] - first.points[indices]
+    return float(np.median(np.hypot(*motion.T))), len(indices)

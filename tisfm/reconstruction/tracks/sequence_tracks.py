@@ -79,6 +79,11 @@ class SequenceTracker:
         self._observations.append(observations)
         self._last_frame = grey, ignored
 
+    @property
+    def flow(self) -> np.ndarray | None:
+        """Image motion from the last frame but one to the last frame, as for `add`."""
+        return self._tracker.flow
+
     def finish(self) -> SequenceTracks:
         """Return the tracks and views of all frames.
 

@@ -56,6 +56,8 @@ class Tracker:
         self._small: np.ndarray | None = None
         self._observations = Observations(points=np.empty((0, 2)), tracks=np.empty(0, np.int64))
         self._track_count = 0
+        # (h, w, 2) float32: image motion of the last step, px of the shrunk frames; None before
+        self.flow: np.ndarray | None = None
 
     def track(
         self,
@@ -72,6 +74,7 @@ class Tracker:
             if flow is None:
                 scale = flow_scale(small, grey)
                 flow = find_flow(self._small, small, scale, self._camera, self._settings)
+            self.flow = flow
             points, is_tracked = track_points(self._grey, grey, points, flow)
             points, tracks = points[is_tracked], tracks[is_tracked]
             oldest_indices = keep_first_in_squares(
