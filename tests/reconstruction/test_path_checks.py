@@ -11,8 +11,13 @@ import tisfm
 from tests.reconstruction.films import along, path_error
 from tests.rendered import room_film
 from tisfm.errors import InputError
+from tisfm.reconstruction.frames.image_motion import chain_flows
+from tisfm.reconstruction.path_checks import dense_pairs
+from tisfm.reconstruction.path_checks.dense_pairs import find_matching_pixels
+from tisfm.reconstruction.path_checks.pieces import choose_second_frame
 from tisfm.reconstruction.result.folder import FIXED_MASK
 from tisfm.reconstruction.result.path_check import PairEvidence, PathCheck
+from tisfm.reconstruction.tracks.tracker import Observations
 
 FAST = tisfm.Settings.preset("fast", motion="camera")
 COUNT, HEIGHT, WIDTH = 10, 120, 160
@@ -153,6 +158,7 @@ def check_of(fixed_share=0.0, infinity_motion=5.0, **changes):
         ({"excess": 0.06, "behind": 0.1}, ("excess", "behind"), True),
         ({"zoom": 0.01}, ("zoom",), True),
         ({"zoom": -0.01}, ("zoom",), True),
+        ({"zoom": 0.01, "zoom_deviation": 0.0015}, ("zoom",), True),
         ({"zoom": 0.01, "zoom_deviation": 0.002}, (), False),
         ({"zoom": 0.002, "zoom_deviation": 1e-4}, (), False),
         ({"fixed_share": 0.03}, ("fixed",), True),
@@ -168,3 +174,54 @@ def test_evidence_beyond_its_limit_is_an_objection(changes, objections, contradi
 def test_message_says_whether_the_picture_grows_or_shrinks():
     assert "grows by 1.0 %" in check_of(zoom=np.log1p(0.01)).message
     assert "shrinks by 1.0 %" in check_of(zoom=np.log1p(-0.01)).message
+
+
+def observations_of(*frames):
+    """Return the tracks of frames; each frame has a dictionary: track → (x, y)."""
+    return [
+        Observations(points=np.array(list(frame.values()), float), tracks=np.array(list(frame)))
+        for frame in frames
+    ]
+
+
+def test_the_second_frame_of_a_pair_shares_many_tracks():
+    # Near points leave the picture after two frames; far points remain, and hardly move.
+    near = [{k: (3.0 * step + k, 0.0) for k in range(60)} for step in range(3)]
+    far = [{100 + k: (0.3 * step + k, 50.0) for k in range(25)} for step in range(7)]
+    frames = [(near[k] if k < 3 else {}) | in_frame for k, in_frame in enumerate(far)]
+    assert choose_second_frame(0, range(7), observations_of(*frames), 300) == 2
+    assert choose_second_frame(0, range(7), observations_of(*far), 90) == 6
+
+
+def test_chained_flows_follow_the_pixels():
+    # A shift by 2 px, then a flow that grows by 0.5 px from column to column.
+    first = np.zeros((5, 20, 2), np.float32)
+    first[..., 0] = 2
+    second = np.zeros_like(first)
+    second[..., 0] = 0.5 * np.arange(20)
+    columns = np.arange(10)
+    chained = chain_flows([first, second])[2, :10, 0]
+    np.testing.assert_allclose(chained, 2 + 0.5 * (columns + 2), atol=1e-5)
+
+
+def test_pixels_that_are_hidden_do_not_match():
+    random = np.random.default_rng(0)
+    first = cv2.GaussianBlur(random.uniform(0, 255, (60, 80)), (0, 0), 2).astype(np.float32)
+    second = np.roll(first, 3, axis=1) * 0.8 + 20  # another light
+    second[20:40, 30:50] = np.float32(random.uniform(0, 255, (20, 20)))
+    flow = np.zeros((60, 80, 2), np.float32)
+    flow[..., 0] = 3
+    matches = find_matching_pixels(first, second, flow, np.ones((60, 80), bool))
+    assert not matches[:, 77:].any()  # outside of the second frame
+    assert matches[24:36, 31:43].mean() < 0.1  # hidden
+    matches[:, 74:] = matches[14:44, 20:54] = True
+    assert matches.mean() > 0.95
+
+
+def test_checks_reuse_the_image_motion_of_the_tracks(monkeypatch):
+    def refuse(*_):
+        raise AssertionError("the motion is known from tracking")
+
+    monkeypatch.setattr(dense_pairs, "find_flow", refuse)
+    (check,) = reconstructed(film().frames).checks
+    assert len(check.pairs) >= 2

@@ -14,7 +14,7 @@ class FrameFlowSettings:
     # addition to this bound, divided by the length of the forward motion
     max_relative_return_error: float = 0.05
     # prepared_frames
-    # frames whose motion from the previous frame is kept after tracking, for the checks of the path;
+    # frames whose motion from the previous frame is kept after tracking, for checks of the path;
     # one takes about half a megabyte
     max_kept_flows: int = 64
 

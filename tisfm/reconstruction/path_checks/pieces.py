@@ -23,7 +23,6 @@ from tisfm.reconstruction.path_checks.settings import PATH_CHECKS
 from tisfm.reconstruction.result.path_check import PairEvidence, PathCheck
 from tisfm.reconstruction.tracks.tracker import Observations
 
-
 # Number of a frame → (h, w, 2) float32 motion from the previous frame, px of the shrunk frames, or
 # None if it was not kept.
 KeptFlow = Callable[[int], np.ndarray | None]

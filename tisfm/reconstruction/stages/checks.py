@@ -38,6 +38,7 @@ def check_pieces(
             static_pixels,
             inverse_depth,
             frames.camera,
+            frames.kept_flow,
         )
         for piece in path.pieces
     )

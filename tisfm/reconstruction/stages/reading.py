@@ -69,6 +69,8 @@ def read_frames(job: Job) -> ReadingResult:
                 labels.add(grey)
             elif tracker is not None:
                 tracker.add(grey, ignored)
+                if tracker.flow is not None:
+                    frames.keep_flow(len(names), tracker.flow)
             if frame.labels is not None:
                 labelled_frames.append(len(names))
             names.append(frame.name)
