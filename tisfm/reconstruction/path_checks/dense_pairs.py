@@ -76,10 +76,10 @@ def find_dense_pair(
     try:
         # Where the path explains the image motion, no other motion does so clearly better: the
         # motion near the path is enough, which takes a fraction of the time.
-        explains = deviation_from_pose(flow, confidence, small_camera, *path) < _enough_residual()
+        residual = deviation_from_pose(flow, confidence, small_camera, *path)
         free = (
             refine_motion(flow, confidence, small_camera, path)
-            if explains
+            if residual < LIMITS.max_residual_ratio * PATH_CHECKS.min_residual
             else camera_motion(flow, confidence, small_camera)
         )
     except TooFewPixelsError:
@@ -104,11 +104,6 @@ def find_dense_pair(
         path=path,
         free=(free.rotation, free.translation / np.linalg.norm(free.translation)),
     )
-
-
-def _enough_residual() -> float:
-    """Return the residual of a path, px, below which no residual of a free motion contradicts."""
-    return LIMITS.max_residual_ratio * PATH_CHECKS.min_residual
 
 
 def find_matching_pixels(
