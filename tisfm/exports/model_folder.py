@@ -15,7 +15,7 @@ from tisfm.errors import InputError
 from tisfm.folders.result_folder import LOCK, locked_folder, make_result_folder, remove
 from tisfm.formats import FormatError, atomic_write, write_png
 from tisfm.formats.atomic import copy_file, is_temporary, link_or_copy
-from tisfm.reconstruction.result.folder import PICTURES
+from tisfm.reconstruction.result.folder import PICTURES, has_labels
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
 FORMAT = 1  # version of ``export.json``
@@ -128,8 +128,8 @@ def check_images(images: str) -> None:
 
 
 def has_masks(result: Reconstruction) -> bool:
-    """Return whether a reconstruction has labels of moving objects."""
-    return result.settings.motion == "objects"
+    """Return whether a reconstruction has labels of pixels that move on their own."""
+    return result.settings.motion == "objects" or has_labels(result.folder)
 
 
 def write_pictures(

@@ -4,20 +4,32 @@ Each stage takes the frozen results of earlier stages, and returns its own resul
 and depth are too large for memory: they are stored in the folder of the result.
 """
 
+from dataclasses import replace
+
 from tisfm.reconstruction.result.reconstruction import Reconstruction
+from tisfm.reconstruction.result.statuses import add_mask_notes
 from tisfm.reconstruction.stages.checks import check_pieces
 from tisfm.reconstruction.stages.depth import find_depth
 from tisfm.reconstruction.stages.job import Job
-from tisfm.reconstruction.stages.path import find_calibration, solve_path
+from tisfm.reconstruction.stages.moving_pixels import mask_moving_pixels
+from tisfm.reconstruction.stages.path import find_calibration, solve_path, warn_of_camera
 from tisfm.reconstruction.stages.reading import read_frames
 from tisfm.reconstruction.stages.writing import write_result
 
 
 def reconstruct_sequence(job: Job) -> Reconstruction:
-    """Run all stages."""
+    """Run all stages; again without the pixels that move, if they contradict the path."""
     reading = read_frames(job)
     path_result = solve_path(job, reading)
     calibration = find_calibration(job, reading, path_result)
     depth = find_depth(job, reading, path_result.path, calibration.relative_focal_std)
     checks = check_pieces(job, reading.frames, path_result.path, depth)
+    masked = mask_moving_pixels(job, reading, path_result, checks)
+    if masked is not None:
+        path_result = masked.result
+        calibration = find_calibration(job, reading, path_result)
+        depth = find_depth(job, reading, path_result.path, calibration.relative_focal_std)
+        depth = replace(depth, status=add_mask_notes(depth.status, masked.moving_shares))
+        checks = check_pieces(job, reading.frames, path_result.path, depth)
+    warn_of_camera(calibration)
     return write_result(job, reading, path_result, calibration, depth, checks)

@@ -16,7 +16,12 @@ from tisfm.formats.npz import write_npy
 from tisfm.frames import check_frame, grey_pair, to_eight_bit
 from tisfm.lens import Undistortion
 from tisfm.reconstruction.frames.settings import FRAME_FLOW
-from tisfm.reconstruction.result.folder import read_labels, read_picture, write_labels
+from tisfm.reconstruction.result.folder import (
+    delete_labels,
+    read_labels,
+    read_picture,
+    write_labels,
+)
 from tisfm.resampling import Resampling, ZoomRemoval
 from tisfm.shutter import GlobalShutterFrameMap, RollingShutterMotion
 from tisfm.solver.pixel_masks import fill_ignored
@@ -256,6 +261,12 @@ class PreparedFrames:
         if not self._states[number].is_labelled:
             return np.zeros(self.shape, np.uint8)
         return read_labels(self._pictures.parent, number, self.shape)
+
+    def delete_labels(self) -> None:
+        """Delete the labels of all frames: every pixel counts as static again."""
+        for number in self._states:
+            self._change_state(number, is_labelled=False)
+        delete_labels(self._pictures.parent)
 
     def object_ids(self) -> set[int]:
         """Return the ids of the moving objects in all frames."""

@@ -68,6 +68,9 @@ class ObjectSettings:
     hidden_steps: tuple[int, ...] = (3, 5, 8)  # frames before and after whose points may be hidden
     min_hidden_difference: float = 12.0  # grey levels, mean, at the position of a hidden point
     min_hidden_points: float = 1.0  # static points that an object hides, divided by its size
+    # largest share of the pixels, mean over the frames, that may be ignored as moving under
+    # `camera`; in a traffic jam between lorries it was 0.45
+    max_masked_share: float = 0.6
     # moving_regions
     region_evidence: float = -0.3  # mean evidence at the boundary of a moving region
     core_evidence: float = 0.3  # mean evidence in the core of a region, which a new object needs

@@ -7,6 +7,7 @@ the files.
 
 import json
 import os
+import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -113,12 +114,22 @@ def write_labels(folder: Path, number: int, labels: np.ndarray) -> None:
 def read_labels(folder: Path, number: int, shape: tuple[int, int]) -> np.ndarray:
     """Return the object id of each pixel of a frame, (H, W) uint8; 0 without labels."""
     path = mask_path(folder, number)
-    if not (folder / MASKS).is_dir():
+    if not has_labels(folder):
         return np.zeros(shape, np.uint8)
     labels = read_label_picture(path)
     if labels.shape != shape:
         raise FormatError(f"{path} is {labels.shape}: expected {shape}")
     return labels
+
+
+def has_labels(folder: Path) -> bool:
+    """Return whether a result has object ids of the pixels of its frames."""
+    return (folder / MASKS).is_dir()
+
+
+def delete_labels(folder: Path) -> None:
+    """Delete the object ids of the pixels of all frames."""
+    shutil.rmtree(folder / MASKS, ignore_errors=True)
 
 
 def write_mask(folder: Path, mask: np.ndarray) -> None:

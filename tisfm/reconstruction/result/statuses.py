@@ -25,6 +25,9 @@ ROUGH_DEPTH = (
     "the depth of the frame is expected to be off by {error}: its deviations are large, or the "
     "focal length is uncertain; give frames with more motion between them, or the focal length"
 )
+MOVING_NOTE = (
+    '{share} of the frame moves on its own and is masked: choose motion="objects" for its depth'
+)
 
 
 def add_piece_note(status: Status) -> Status:
@@ -51,6 +54,20 @@ def contradict(reason: str, cause: str = "") -> Status:
 def find_cause(status: Status) -> str:
     """Return the cause in a status of `contradict`; "" without a cause."""
     return remove_piece_note(status).message.partition(CAUSE_NOTE)[2]
+
+
+def add_mask_notes(
+    statuses: Sequence[Status],
+    moving_shares: np.ndarray,  # (N,): share of the pixels of each frame that move and are masked
+) -> tuple[Status, ...]:
+    """Return the statuses of frames, with a note on the pixels that move and are masked."""
+    noted = []
+    for status, share in zip(statuses, moving_shares.tolist(), strict=True):
+        if status == "converged" and share > 0:
+            note = MOVING_NOTE.format(share=percent(share))
+            status = Status(str(status), "; ".join(filter(None, [note, status.message])))
+        noted.append(status)
+    return tuple(noted)
 
 
 def mark_contradicted(

@@ -48,8 +48,9 @@ class StoredFrames(ReconstructionRecord):
     def labels(self, frame: int) -> np.ndarray:
         """Return the object id of each pixel of a frame, (H, W) uint8.
 
-        0 is static; other numbers are the ids of `objects`. The labels fit the frame without
-        distortion, as `picture`.
+        0 is static; other numbers are the ids of `objects`. Under ``motion="camera"`` there are no
+        objects: pixels above 0 move on their own and are masked, as the status of the frame says.
+        The labels fit the frame without distortion, as `picture`.
 
         Examples
         --------

@@ -1,11 +1,13 @@
 """The fourth stage: checks of the path and its depth against the image motion."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from tisfm.camera import Camera
 from tisfm.reconstruction.causes.cause_search import CauseSearch
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
+from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.path.camera_path import CameraPath
 from tisfm.reconstruction.path_checks.pieces import check_piece
 from tisfm.reconstruction.result.folder import depth_path, read_depth
@@ -19,28 +21,57 @@ def check_pieces(
 ) -> tuple[PathCheck, ...]:
     """Check every piece of the path, and its depth, against the image motion."""
 
-    def static_pixels(frame: int) -> np.ndarray:
-        used_pixels = frames.used_pixels(frame)
-        return np.ones(frames.shape, bool) if used_pixels is None else used_pixels
-
     def inverse_depth(frame: int) -> np.ndarray | None:
         is_written = job.depth_of != "none" and depth_path(job.folder, frame).exists()
         return read_depth(job.folder, frame, frames.shape)[0] if is_written else None
 
     return tuple(
-        UNCHECKED
-        if piece.only_turns
-        else check_piece(
+        _check_piece(
+            frames,
+            path,
+            piece,
             {frame: depth.poses[frame] for frame in piece.poses},
             [frame for frame in depth.keyframes if frame in piece.poses],
-            path.observations,
-            frames.grey,
-            static_pixels,
             inverse_depth,
             frames.camera,
-            frames.kept_flow,
         )
         for piece in path.pieces
+    )
+
+
+def check_path(frames: PreparedFrames, path: CameraPath) -> tuple[PathCheck, ...]:
+    """Check every piece of a path whose depth is unknown."""
+    return tuple(
+        _check_piece(frames, path, piece, piece.poses, (), lambda _: None, path.camera.pinhole())
+        for piece in path.pieces
+    )
+
+
+def _check_piece(
+    frames: PreparedFrames,
+    path: CameraPath,
+    piece: Piece,
+    poses: Mapping[int, np.ndarray],  # of the piece, by frame
+    keyframes: Sequence[int],  # of the piece
+    inverse_depth: Callable[[int], np.ndarray | None],  # frame → (H, W)
+    camera: Camera,  # a pinhole
+) -> PathCheck:
+    if piece.only_turns:
+        return UNCHECKED
+
+    def static_pixels(frame: int) -> np.ndarray:
+        used_pixels = frames.used_pixels(frame)
+        return np.ones(frames.shape, bool) if used_pixels is None else used_pixels
+
+    return check_piece(
+        poses,
+        keyframes,
+        path.observations,
+        frames.grey,
+        static_pixels,
+        inverse_depth,
+        camera,
+        frames.kept_flow,
     )
 
 

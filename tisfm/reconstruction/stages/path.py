@@ -1,6 +1,7 @@
 """The second stage: the camera path, and corrections of frames that follow from it."""
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,10 +38,15 @@ class PathResult:
     zoom: np.ndarray | None = None
 
 
-def solve_path(job: Job, reading: ReadingResult) -> PathResult:
+def solve_path(
+    job: Job,
+    reading: ReadingResult,
+    search: SequenceLabels | None = None,  # of all frames: labels moving pixels, which are ignored
+    choose: Callable[[CameraPath], CameraPath] = lambda path: path,  # the path that is used instead
+) -> PathResult:
     """Find the camera path, or use given poses; correct frames for the estimated lens and readout.
 
-    With moving objects, every frame is labelled as well.
+    With moving objects or a search for them, every frame is labelled as well.
     """
     frames, full_camera = reading.frames, reading.camera.full_camera
     mask: np.ndarray | None = None
@@ -61,9 +67,11 @@ def solve_path(job: Job, reading: ReadingResult) -> PathResult:
         mask = frames.correct(path.camera, path.rolling, path.zoom, mask)
 
     def solve_static_path(calibrate: Calibrate | None) -> CameraPath:
-        return _track_and_solve(job, reading, calibrate or job.calibrate)
+        return choose(_track_and_solve(job, reading, calibrate or job.calibrate))
 
-    if reading.tracks is not None:
+    if search is not None:
+        path = find_static_path(frames, search, solve_static_path, correct)
+    elif reading.tracks is not None:
         if masked := _mask_fixed_pixels(job, reading):
             path, mask = masked
         else:
@@ -153,11 +161,11 @@ def _label_all_frames(job: Job, reading: ReadingResult) -> None:
 
 
 def find_calibration(job: Job, reading: ReadingResult, path_result: PathResult) -> Calibration:
-    """Return the origin and uncertainty of the camera; warn if it is unreliable."""
+    """Return the origin and uncertainty of the camera."""
     rolling = path_result.path.rolling
     # A given readout has deviation 0.
     is_readout_estimated = rolling is not None and bool(rolling.deviation)
-    calibration = reading.camera.calibration(
+    return reading.camera.calibration(
         path_result.path.focal,
         reading.frames.camera,
         is_estimated=job.calibrate != "nothing",
@@ -165,6 +173,9 @@ def find_calibration(job: Job, reading: ReadingResult, path_result: PathResult) 
         zoom=path_result.zoom,
         readout=(rolling.readout, rolling.deviation) if rolling and is_readout_estimated else None,
     )
+
+
+def warn_of_camera(calibration: Calibration) -> None:
+    """Warn of an unreliable camera."""
     if not calibration.seen:
         warnings.warn(calibration.message, GuessedFocalWarning, stacklevel=4)
-    return calibration
