@@ -13,8 +13,9 @@ from tests.reconstruction.test_path_checks import check_of
 from tisfm import PathCheck
 from tisfm.camera_file import write_camera
 from tisfm.reconstruction.chunks.chunk import Span
-from tisfm.reconstruction.chunks.entry import _ErrorReport
-from tisfm.reconstruction.chunks.joining import ChunkResult, place_chunks, write_joined_result
+from tisfm.reconstruction.chunks.error_report import ErrorReport
+from tisfm.reconstruction.chunks.joining import write_joined_result
+from tisfm.reconstruction.chunks.placement import ChunkResult, place_chunks
 from tisfm.reconstruction.result.folder import write_mask, write_record
 from tisfm.reconstruction.result.statuses import mark_contradicted
 
@@ -93,7 +94,7 @@ def test_each_frame_with_depth_is_reported_once(tmp_path):
         span = Span(start=start, stop=None, count=3 + len(skipped))
         chunks.append(SimpleNamespace(folder=chunk.folder, span=span))
     reported = []
-    report = _ErrorReport(chunks, range(10, 22, 2))
+    report = ErrorReport(chunks, range(10, 22, 2))
     report.add(1, lambda *pair: reported.append(pair))
     assert not reported  # the first chunk may have frames that cannot be read
     report.add(0, lambda *pair: reported.append(pair))

@@ -8,12 +8,12 @@ import pytest
 import tisfm
 from tests.reconstruction.films import along
 from tisfm.reconstruction.chunks import overlaps
-from tisfm.reconstruction.chunks.joining import ChunkResult, place_chunks
 from tisfm.reconstruction.chunks.overlaps import (
     overlap_sim3,
     scale_from_depth,
     scale_from_positions,
 )
+from tisfm.reconstruction.chunks.placement import ChunkResult, place_chunks
 from tisfm.reconstruction.geometry.sim3 import mean_rotation, sim3_scale, transform_pose
 from tisfm.reconstruction.result.folder import write_depth
 from tisfm.rigid import pose_matrix

@@ -1,6 +1,5 @@
 """Reconstruction of a sequence in chunks: from the source to the result folder, new or resumed."""
 
-import math
 import os
 import warnings
 from collections.abc import Mapping, Sequence
@@ -25,7 +24,9 @@ from tisfm.folders.result_folder import (
     try_to_remove,
 )
 from tisfm.reconstruction.chunks.chunk import DEFAULT_CHUNK, Chunk, check_chunk, chunk_spans
-from tisfm.reconstruction.chunks.joining import ChunkResult, place_chunks, write_joined_result
+from tisfm.reconstruction.chunks.error_report import ErrorReport
+from tisfm.reconstruction.chunks.joining import write_joined_result
+from tisfm.reconstruction.chunks.placement import ChunkResult, place_chunks
 from tisfm.reconstruction.chunks.shared_camera import (
     UnorderedMap,
     complete_chunks,
@@ -245,7 +246,7 @@ class ChunkedRun:
                 guessed_camera = camera_file_path(chunks[0].folder)
                 chunks = [chunks[0], *(chunk.with_camera(guessed_camera) for chunk in chunks[1:])]
             done = 0
-            errors = _ErrorReport(chunks, self._frames)
+            errors = ErrorReport(chunks, self._frames)
             for number in complete_chunks(chunks, map_unordered):
                 done += chunks[number].span.count
                 if report_depth is not None:
@@ -305,36 +306,6 @@ def reconstruct_in_chunks(
     if not result.calibration.seen:
         warnings.warn(result.calibration.message, GuessedFocalWarning, stacklevel=2)
     return result
-
-
-class _ErrorReport:
-    """The expected errors of depth of chunks, in the order of the frames.
-
-    The number of a frame in the joined result is known only if all earlier chunks are complete, as
-    frames that cannot be read do not count. So a chunk waits for the chunks before it.
-    """
-
-    def __init__(self, chunks: Sequence[Chunk], frames: range) -> None:
-        self._chunks, self._frames = chunks, frames
-        self._complete: set[int] = set()
-        self._next = 0  # number of the next chunk in order
-        self._numbers: dict[int, int] = {}  # by number in the source: number in the joined result
-        self._reported: set[int] = set()  # numbers in the joined result
-
-    def add(self, number: int, report_depth: ReportDepth) -> None:
-        """Receive the number of a complete chunk; report each frame with depth once."""
-        self._complete.add(number)
-        while self._next in self._complete:
-            chunk = self._chunks[self._next]
-            result = Reconstruction.load(chunk.folder)
-            part = ChunkResult.from_result(result, chunk.span, self._frames)
-            for index, number_in_chunk in part.frames.items():
-                frame = self._numbers.setdefault(index, len(self._numbers))
-                error = float(result.depth_error[number_in_chunk])
-                if frame not in self._reported and not math.isnan(error):
-                    self._reported.add(frame)
-                    report_depth(frame, error)
-            self._next += 1
 
 
 def _absolute_source(source: Source) -> str | list[str]:
