@@ -27,6 +27,7 @@ class Clip:
     size: int = 400  # px: longer side of the frames of a sequence
     gap: int = 1  # frames of the clip from the first to the second frame of a pair
     focals: tuple[str, ...] = tuple(FOCALS)  # names of `FOCALS` that are cases
+    truth_deviation: float = 0.0  # of the true positions, in their unit; 0 if they are exact
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +81,8 @@ def _of(kind: str, *strengths: float) -> list[Disturbance]:
 CLEAN = (
     "room 0", "room 1", "room 2", "room 3", "bare room 0", "yard 0", "yard 1", "yard 2", "yard 3",
     "street 0", "street 1", "street 2", "street 3", "table 0", "floor", "wobbling floor",
-    "slanted wall", "tilted floor", "poster 0", "sparse 0", "sparse 1", "tiles 0", "tiles 1",
+    "slanted wall", "tilted floor", "poster 0", "sparse 0", "sparse 1", "sparse 2", "sparse 3",
+    "tiles 0", "tiles 1",
     "mirror hall 0", "mirror hall 1",
 )  # fmt: skip
 # World → its disturbances.
@@ -93,7 +95,10 @@ DISTURBED: dict[str, list[Disturbance]] = {
         *_of("overlay", 0.3), *_of("vignette", 0.9), *_of("fixed noise", 6), *_of("shutter", 0.8),
     ],
     "room 2": [*_of("caption", 0), *_of("exposure", 0.4), *_of("pan", 0.02)],
-    "room 3": [*_of("brighter frame", 40), *_of("roll", 0.06), *_of("low parallax", 0.04)],
+    "room 3": [
+        *_of("brighter frame", 40), *_of("roll", 0.06), *_of("low parallax", 0.04),
+        *_of("shutter", 0.4),
+    ],
     "bare room 0": [*_of("logo", 0.25)],
     "yard 0": [
         *_of("logo", 0.25), *_of("zoom", 0.005, -0.01), *_of("lens", 0.15), *_of("roll", 0.05),
@@ -107,7 +112,7 @@ DISTURBED: dict[str, list[Disturbance]] = {
         *_of("letterbox", 0.12), *_of("brighter frame", 40), *_of("truck", 3.0),
         *_of("bands", 0.15),
     ],
-    "yard 3": [*_of("lens", -0.5, 0.5), *_of("vignette", 0.7)],
+    "yard 3": [*_of("lens", -0.5, 0.5), *_of("vignette", 0.7), *_of("shutter", 0.9)],
     "street 0": [
         *_of("bonnet", 0.3), *_of("zoom", 0.005, 0.02), *_of("traffic", 3), *_of("truck", 2.2),
         *_of("lens", -0.1), *_of("bands", 0.2),
@@ -117,7 +122,7 @@ DISTURBED: dict[str, list[Disturbance]] = {
         *_of("logo", 0.2),
     ],
     "street 2": [*_of("pan", 0.01), *_of("bonnet", 0.35)],
-    "street 3": [*_of("low parallax", 0.1), *_of("fixed noise", 6)],
+    "street 3": [*_of("low parallax", 0.1), *_of("fixed noise", 6), *_of("shutter", 0.6)],
     "table 0": [*_of("zoom", 0.01), *_of("brighter frame", 60)],
     "wobbling floor": [*_of("zoom", 0.01)],
     "tilted floor": [*_of("lens", -0.1)],
@@ -134,7 +139,9 @@ CLIPS = (
     Clip(folder="tartanair"),
     Clip(folder="hololens", start=2),
     Clip(folder="new_tsukuba", step=2),
-    Clip(folder="sevenscenes", start=28, step=2, gap=2),
+    # COLMAP 4 (SIFT, whole frames, the same focal length) differs from the true positions by
+    # 5.8 mm, and from those of tisfm by 1.3 mm; the path is 237 mm long.
+    Clip(folder="sevenscenes", start=28, step=2, gap=2, truth_deviation=0.0058),
     Clip(folder="fountain", count=11),
     Clip(folder="kitti_odometry_06", size=480),
     Clip(folder="tum_fr1_rpy", count=20, gap=3),

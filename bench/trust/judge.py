@@ -5,6 +5,7 @@ length, its direction of motion by more than 10°, or the median of its depth by
 frame is flagged if it is not green (`is_green`).
 """
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -50,14 +51,18 @@ class Errors:
     direction: float | None = None  # degrees: of the motion in the axes of the camera
     depth: float | None = None  # median of |ΔZ|/Z, each frame in its own scale
     invented: bool = False  # whether there is depth although the camera only turned
+    # share of the length of the path: deviation of the true positions, where the truth is inexact
+    truth: float = 0.0
 
     @property
     def faults(self) -> tuple[str, ...]:
         """Names of the errors beyond their limits."""
         limits = {
-            "rotation": MAX_ROTATION, "path": MAX_PATH, "direction": MAX_DIRECTION,
+            "rotation": MAX_ROTATION,
+            "path": math.hypot(MAX_PATH, self.truth),
+            "direction": MAX_DIRECTION,
             "depth": MAX_DEPTH,
-        }  # fmt: skip
+        }
         values = asdict(self)
         found = [n for n, limit in limits.items() if values[n] is not None and values[n] > limit]
         return (*found, *["invented depth"] * self.invented)
@@ -84,6 +89,7 @@ def judge_sequence(
     result: tisfm.Reconstruction,
     poses: NDArray | None,  # (N, 4, 4) true poses, camera to world; None if unknown
     depth: Sequence[NDArray | None],  # true depth of the frames, on the pixels of the result
+    truth_deviation: float = 0.0,  # of the true positions, in their unit
 ) -> dict[str, Any]:
     """Return the pieces of a result with their errors, and its outcome."""
     green = np.array([is_green(result, k) for k in range(len(result))])
@@ -101,6 +107,7 @@ def judge_sequence(
             median_depth=_median_depth([depth[k] for k in members]),
             estimated_depth=_median_depth([result.depth(k) for k in members]),
             depth_error=float(np.median(depth_errors)) if depth_errors else None,
+            truth_deviation=truth_deviation,
         )
         check = check_numbers(result.checks[number]) if number < len(result.checks) else {}
         pieces.append(
@@ -157,6 +164,7 @@ def path_errors(
     median_depth: float | None,  # true
     estimated_depth: float | None,
     depth_error: float | None,
+    truth_deviation: float = 0.0,  # of the true positions, in their unit
 ) -> Errors:
     """Return the errors of a piece."""
     if truth is None or len(poses) < MIN_POSES:
@@ -174,6 +182,7 @@ def path_errors(
         path=float(error),
         direction=direction_error(poses, truth),
         depth=depth_error,
+        truth=truth_deviation / length,
     )
 
 

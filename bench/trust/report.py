@@ -39,7 +39,9 @@ its status is `converged` and its grade is good or fair; other frames are flagge
 wrong and green if a frame of a wrong piece is green. It is right and flagged if no piece is wrong
 and less than half of its frames are green; refused if no piece is wrong and less than half of its
 frames have depth. Clean inputs have nothing wrong: one that is refused counts as right and
-flagged. A flag is due where the camera only turns.""".replace("\n", " ")
+flagged. A flag is due where the camera only turns. The true positions of sevenscenes are inexact:
+COLMAP differs from them by 5.8 mm, 2.4 % of the length of the path, and from tisfm by 1.3 mm. The
+limit of that path is 3.2 %, the root of the sum of the squares.""".replace("\n", " ")
 
 
 def is_false_alarm(record: Record) -> bool:

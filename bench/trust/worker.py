@@ -65,7 +65,7 @@ def _run_clip(case: Case, clip: Clip, data: Path) -> dict[str, Any]:
             true_depth = _on_pixels_of(result, k, true_depth, camera)
         maps.append(true_depth)
     poses = loaded.poses if loaded.posed.all() else None
-    verdict = judge_sequence(result, poses, maps)
+    verdict = judge_sequence(result, poses, maps, clip.truth_deviation)
     shrunk = max(result.shape) / max(read_image(loaded.frames[0]).shape)
     about = _about(result, loaded.camera.focal * shrunk, seconds)
     return verdict | about | _coverage(result, maps)

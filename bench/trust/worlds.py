@@ -217,11 +217,20 @@ def sparse(seed: int) -> World:
             normal=(0, -1, 0),
         ),
     ]
+    places = [(-1.2, 1.1, 4.0), (0.3, 0.7, 3.2), (1.5, 1.4, 5.0)]  # right, height, ahead
+    if seed > 1:
+        random = np.random.default_rng([seed, 4])
+        rights, depths = random.permutation([-1.4, -0.2, 1.2]), random.uniform(2.8, 5.2, 3)
+        places = [
+            (right, random.uniform(0.6, 1.6), depth)
+            for right, depth in zip(rights, depths, strict=True)
+        ]
     boxes = [
         Box(texture=paint(z, focal, seed + k), center=(x, 1.5 - h / 2, z), size=(0.7, h, 0.6))
-        for k, (x, h, z) in enumerate(((-1.2, 1.1, 4.0), (0.3, 0.7, 3.2), (1.5, 1.4, 5.0)))
+        for k, (x, h, z) in enumerate(places)
     ]
-    poses = smooth_path(seed, (0.06, 0, 0.02), (0, 0.004, 0))
+    velocity = ((0.06, 0, 0.02), (-0.05, 0.01, 0.03))[seed // 2 % 2]
+    poses = smooth_path(seed, velocity, (0, 0.004, 0))
     return World(name=f"sparse {seed}", surfaces=(*plain, *boxes), poses=poses, focal=focal)
 
 
@@ -321,8 +330,7 @@ MAKERS: dict[str, Callable[[], World]] = {
         "tilted floor", (0, -0.7, -0.7), (0.05, 0, 0.1), wobble=0.006, seed=4
     ),
     "poster 0": lambda: poster(0),
-    "sparse 0": lambda: sparse(0),
-    "sparse 1": lambda: sparse(1),
+    **{f"sparse {k}": lambda k=k: sparse(k) for k in range(6)},  # type: ignore[misc]
     "tiles 0": lambda: tiles(0),
     "tiles 1": lambda: tiles(1),
     "mirror hall 0": lambda: mirror_hall(0),

@@ -170,3 +170,16 @@ def test_search_range_of_converging_cameras_exceeds_their_crossing():
     met = 0.5 * camera.focal * reach[1].unit  # D of that point
     assert reach[1].max_depth > met > 0
     np.testing.assert_allclose(reach[1].max_depth - reach[0].max_depth, met, rtol=1e-6)
+
+
+def test_propagated_depth_that_bends_is_uncertain():
+    from tisfm.reconstruction.depth.window_depth import find_bend_share
+
+    rows, columns = np.mgrid[:40, :50].astype(np.float32)
+    distance = np.full((40, 50), 12, np.float32)
+    plane = 20 + 0.1 * columns - 0.2 * rows
+    bent = plane + 0.003 * (columns - 25) ** 2  # between objects that lie in no plane
+    inner = np.s_[8:-8, 8:-8]  # without the border of the smoothing
+    assert find_bend_share(plane, distance)[inner].max() < 1e-3
+    assert find_bend_share(bent, distance)[inner].min() > 0.2
+    assert find_bend_share(bent, 0 * distance).max() == 0  # at matches

@@ -8,6 +8,7 @@ import pytest
 from bench.trust import cases, films, judge, report
 from bench.trust.worlds import smooth_path
 from tisfm.grade import grade_depth
+from tisfm.metrics import path_length
 from tisfm.rigid import pose_matrix
 from tisfm.status import Status
 
@@ -69,6 +70,16 @@ def test_a_wrong_frame_makes_the_piece_wrong(fault, change):
     assert found["outcome"] == "wrong, green"
     assert fault in found["pieces"][0]["faults"]
     assert judged(poses, TRUE_DEPTH, "contradicted")["outcome"] == "wrong, flagged"
+
+
+def test_an_inexact_truth_widens_the_limit_of_the_path():
+    poses = POSES.copy()
+    poses[7] = poses[7] @ pose_matrix((0.2, 0, 0, 0, 0, 0))
+    result = result_of(poses, TRUE_DEPTH, "converged", 0.02)
+    length = path_length(POSES)
+    for deviation, outcome in ((0.0, "wrong, green"), (0.1 * length, "right, green")):
+        found = judge.judge_sequence(result, POSES, [TRUE_DEPTH] * len(poses), deviation)
+        assert found["outcome"] == outcome
 
 
 def test_a_sideways_path_of_a_straight_drive_is_wrong():

@@ -60,13 +60,21 @@ class DepthSettings:
     max_depth_factor: float = 2.0  # largest propagated depth divided by the largest matched depth
     # share of the matched cells, with the largest depth, that this limit ignores
     ignored_far_share: float = 0.01
-    # The deviation of D, cells, is the root of the sum of the squares of four parts. The actual
+    # The deviation of D, cells, is the root of the sum of the squares of five parts. The actual
     # error is within one standard deviation at 60 to 76 % of the pixels of rendered rooms, at 57 %
     # in TartanAir, and at 28 % in a HoloLens recording with inexact poses.
     min_deviation: float = 0.005  # cells: smallest part of the deviation
     residual_share: float = 0.07  # part from images: share of the residuals of nearby data terms
     max_residual: float = 2.5  # cells: limit of these residuals
-    deviation_per_pixel: float = 0.002  # part from propagation: cells per px of propagation
+    # part from propagation: share of D per px of propagation
+    deviation_per_pixel: float = 0.002
+    # Part from propagation that bends: share of D, per bend in the same unit. Bare walls of rooms
+    # bend by 0.003 to 0.005 of D over 5 to 15 cells, and are off by 2 %; a hall without texture
+    # behind a few boxes bends by 0.013 to 0.02, and is off by 20 to 60 %.
+    deviation_per_bend: float = 30.0
+    usual_bend: float = 0.01  # smaller bends count little
+    max_bend_share: float = 1.0
+    bend_smoothing: float = 2.0  # cells: standard deviation of the Gaussian before derivatives
     # part from matches: share of the difference between nearby matches and D
     difference_share: float = 0.8
     match_scatter: float = 0.2  # cells: usual noise of matches; smaller differences count little

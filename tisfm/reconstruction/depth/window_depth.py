@@ -236,10 +236,31 @@ def _deviation(
         DEPTH.min_deviation**2
         + DEPTH.residual_share**2 * square
         + difference**2
-        + (DEPTH.deviation_per_pixel * distance * depth) ** 2,
+        + (DEPTH.deviation_per_pixel * distance * depth) ** 2
+        + (find_bend_share(depth, distance / 2**planes.level) * depth) ** 2,
         dtype=np.float32,
     )
     return deviation
+
+
+def find_bend_share(
+    depth: np.ndarray,  # (h, w) float32: D, cells
+    distance: np.ndarray,  # (h, w) float32: distance from the nearest match, cells
+) -> np.ndarray:
+    """Return the deviation of propagated depth that bends, (h, w) float32, as a share of D.
+
+    A bare wall goes on as a plane between matches on itself. Matches on objects in front of it lie
+    in no plane with each other, so the depth between them bends, and may be far from the wall. The
+    bend is the length of the second derivatives of D, over the distance of propagation.
+    """
+    smooth = cv2.GaussianBlur(depth, (0, 0), DEPTH.bend_smoothing)
+    along_x, along_y, mixed = (
+        cv2.Sobel(smooth, cv2.CV_32F, *order, scale=1 / 4) for order in ((2, 0), (0, 2), (1, 1))
+    )
+    curvature = np.sqrt(along_x**2 + 2 * mixed**2 + along_y**2)
+    bend = curvature * distance**2 / np.maximum(depth, MIN_DIVISOR)
+    share = DEPTH.deviation_per_bend * bend**2 / (bend + DEPTH.usual_bend)
+    return np.asarray(np.minimum(share, DEPTH.max_bend_share), np.float32)
 
 
 def _check_motions(
