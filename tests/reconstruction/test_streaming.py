@@ -16,7 +16,7 @@ from tisfm import Camera, Settings
 from tisfm.reconstruction.mapping import models as mapping
 from tisfm.reconstruction.result.path_check import UNCHECKED
 from tisfm.reconstruction.streaming import entry as streaming
-from tisfm.reconstruction.streaming import sliding_path, stream
+from tisfm.reconstruction.streaming import sliding_path, stream, stream_checks
 from tisfm.reconstruction.streaming.sliding_path import MIN_FIXED_VIEWS, SlidingPath
 from tisfm.reconstruction.streaming.stream import Stream
 from tisfm.sources import FrameSource
@@ -297,7 +297,7 @@ def test_contradicted_frames_name_what_hides_the_motion(monkeypatch):
 
     wrong = replace(UNCHECKED, fixed_share=0.5, infinity_motion=9.0)
     monkeypatch.setattr(SlidingPath, "find_image_cause", find_image_cause)
-    monkeypatch.setattr(stream, "check_with_pairs", lambda *arguments: wrong)
+    monkeypatch.setattr(stream_checks, "check_with_pairs", lambda *arguments: wrong)
     found = list(stream_of(swing().frames[:12]))
     assert measured == [frame.index for frame in found if frame.status == "contradicted"]
     assert len(measured) > 8

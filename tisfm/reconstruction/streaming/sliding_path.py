@@ -205,6 +205,12 @@ class SlidingPath:
             missing=solver.find_missing(solution, are_turns_found=False),
         )
 
+    def select_recent(self, piece: Piece) -> Piece:
+        """Return a piece with its recent frames only: data of other frames were dropped."""
+        recent = set(self.observations.frames())
+        poses = {frame: pose for frame, pose in piece.poses.items() if frame in recent}
+        return replace(piece, poses=poses)
+
     def find_image_cause(self, frames: Sequence[int]) -> Status | None:
         """Return what the images of recent frames show against a path; None for nothing."""
         search = CauseSearch.of_images(self.observations, self.camera, self._shape, self._grey)

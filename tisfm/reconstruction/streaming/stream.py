@@ -7,7 +7,6 @@ fixed, and data that later frames do not need are dropped.
 
 import math
 import warnings
-from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import replace
@@ -32,19 +31,12 @@ from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.depth.window_depth import WindowDepth
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import Piece
-from tisfm.reconstruction.path_checks.fixed_texture import spread_evenly
-from tisfm.reconstruction.path_checks.pieces import check_pair, check_with_pairs
-from tisfm.reconstruction.path_checks.settings import PATH_CHECKS
 from tisfm.reconstruction.result.calibration import GIVEN, Calibrate
 from tisfm.reconstruction.result.folder import CACHE, PICTURES, read_picture
-from tisfm.reconstruction.result.path_check import PairEvidence, PathCheck
-from tisfm.reconstruction.result.statuses import (
-    NO_PARALLAX,
-    add_piece_note,
-    contradict,
-    mark_uncertain,
-)
+from tisfm.reconstruction.result.statuses import NO_PARALLAX, add_piece_note, mark_uncertain
+from tisfm.reconstruction.streaming.ordered_depth import OrderedDepth
 from tisfm.reconstruction.streaming.sliding_path import SlidingPath, SlidingSolution
+from tisfm.reconstruction.streaming.stream_checks import StreamChecks
 from tisfm.reconstruction.streaming.streamed_frame import StreamedFrame
 from tisfm.reconstruction.tracks.triangulation import track_depths
 from tisfm.settings import Settings
@@ -81,8 +73,7 @@ class Stream:
         self._frame_info: dict[int, tuple[int, str, float | None]] = {}
         self._last_keyframes: dict[int, tuple[int, WindowDepth]] = {}  # last keyframe of each piece
         self._yielded_pieces: set[int] = set()  # pieces with yielded frames
-        # evidence for and against the path of a piece, from its last pairs of frames
-        self._evidence: dict[int, deque[PairEvidence]] = {}
+        self._checks: StreamChecks
         self._warned_count = 0
         self._notes: list[str] = list(source.notes)  # notes that were not shown as warnings yet
         self._has_times_fault = False
@@ -140,6 +131,7 @@ class Stream:
                 is_focal_guessed=not camera.is_focal_known,
                 grey=lambda frame: self._frames.tracker_input(frame)[0],
             )
+            self._checks = StreamChecks(self._path, self._frames)
         self._path.add(*self._frames.add(frame), index_and_time=(frame.index, frame.time))
         self._check_time(number, frame)
         self._frame_info[number] = frame.index, frame.name, frame.time
@@ -167,39 +159,14 @@ class Stream:
             if any(first <= frame <= last for frame in piece.poses)
         }
         self._path.fix_poses(last, pieces)
-        checks = {
-            number: self._check_piece(number, piece, first, last)
-            for number, piece in pieces.items()
-        }
-        yield from self._find_depth(pieces, checks, solution.missing, first, last)
+        contradictions = self._checks.find_contradictions(pieces, first, last)
+        yield from self._find_depth(pieces, contradictions, solution.missing, first, last)
         self._drop_unneeded()
-
-    def _check_piece(self, number: int, piece: Piece, first: int, last: int) -> PathCheck:
-        """Check the path of a piece by pairs that begin at new frames, and by earlier pairs."""
-        poses = self._select_recent(piece).poses
-        new_frames = [frame for frame in poses if first <= frame <= last]
-        evidence = self._evidence.setdefault(number, deque(maxlen=PATH_CHECKS.max_pairs))
-        for frame in spread_evenly(new_frames, PATH_CHECKS.max_stream_pairs):
-            pair = check_pair(
-                frame,
-                poses,
-                self._path.observations,
-                self._frames.grey,
-                self._static_pixels,
-                self._frames.camera,
-            )
-            if pair is not None:
-                evidence.append(pair)
-        return check_with_pairs(tuple(evidence), poses, self._frames.grey, self._frames.camera)
-
-    def _static_pixels(self, frame: int) -> np.ndarray:
-        used_pixels = self._frames.used_pixels(frame)
-        return np.ones(self._frames.shape, bool) if used_pixels is None else used_pixels
 
     def _find_depth(
         self,
         pieces: Mapping[int, Piece],
-        checks: Mapping[int, PathCheck],  # of each piece
+        contradictions: Mapping[int, Status],  # by contradicted piece
         missing: Mapping[int, Status],
         first: int,
         last: int,
@@ -207,10 +174,9 @@ class Stream:
         """Find the depth of the frames from `first` to `last`, and yield the frames."""
         numbers = {frame: number for number, piece in pieces.items() for frame in piece.poses}
         depths = {
-            number: _OrderedDepth(self._depths(number, piece, first - 1))
+            number: OrderedDepth(self._depths(number, piece, first - 1))
             for number, piece in pieces.items()
         }
-        causes = self._find_causes(pieces, checks, first, last)
         for frame in range(first, last + 1):
             number = numbers.get(frame, -1)
             if number < 0:
@@ -222,8 +188,7 @@ class Stream:
             ):  # a later keyframe may belong to the next call
                 self._last_keyframes[number] = last_keyframe
             status = Status("converged") if depth is not None else NO_PARALLAX
-            if checks[number].contradicts:
-                status = contradict(checks[number].message, causes[number])
+            status = contradictions.get(number, status)
             if number not in self._yielded_pieces and number > 0:
                 status = add_piece_note(status)
             self._yielded_pieces.add(number)
@@ -231,21 +196,6 @@ class Stream:
             yield self._make_frame(
                 frame, pieces[number].poses[frame], number, status, depth, keyframe
             )
-
-    def _find_causes(
-        self, pieces: Mapping[int, Piece], checks: Mapping[int, PathCheck], first: int, last: int
-    ) -> dict[int, str]:
-        """Return what hides the motion in contradicted pieces, by piece; "" if no image shows it.
-
-        The frames from `first` to `last` are measured.
-        """
-        causes = {}
-        for number, piece in pieces.items():
-            if checks[number].contradicts:
-                frames = sorted(frame for frame in piece.poses if first <= frame <= last)
-                cause = self._path.find_image_cause(frames)
-                causes[number] = "" if cause is None else cause.message
-        return causes
 
     def _update_camera(self) -> None:
         """Use the camera of the path, and warn once if its focal length is unreliable."""
@@ -287,7 +237,7 @@ class Stream:
         """Return the piece; new poses are adjusted to images if the settings ask for accuracy."""
         if self._effort != "accurate":
             return piece
-        recent = self._select_recent(piece)
+        recent = self._path.select_recent(piece)
         if number in self._last_keyframes:
             first = self._last_keyframes[number][0]
             poses = {frame: pose for frame, pose in recent.poses.items() if frame >= first}
@@ -308,7 +258,7 @@ class Stream:
         """Return the iterator over the depth of the frames of a piece later than frame `after`."""
         depths = PieceDepths(
             self._frames,
-            self._select_recent(piece),
+            self._path.select_recent(piece),
             self._path.observations,
             self._settings,
             self._effort,
@@ -318,13 +268,6 @@ class Stream:
         # The first keyframe defines the unit. If possible, this keyframe was not yielded yet.
         depths.keyframes = [key for key in depths.keyframes if key > after] or depths.keyframes
         return depths
-
-    def _select_recent(self, piece: Piece) -> Piece:
-        """Return a piece with its recent frames only: data of other frames were dropped."""
-        recent = set(self._path.observations.frames())
-        return replace(
-            piece, poses={frame: pose for frame, pose in piece.poses.items() if frame in recent}
-        )
 
     def _make_frame(
         self,
@@ -381,37 +324,6 @@ class Stream:
         for _, reason in self._source.skipped[self._warned_count :]:
             warnings.warn(f"{reason}; the frame is skipped", stacklevel=4)
         self._warned_count = len(self._source.skipped)
-
-
-class _OrderedDepth:
-    """Depth of frames in order; `PieceDepths` yields keyframes before the frames between them."""
-
-    def __init__(self, depths: PieceDepths) -> None:
-        # number and depth of the last keyframe that was reached
-        self.last_keyframe: tuple[int, WindowDepth] | None = None
-        self._sorted = self._in_order(depths)
-        self._next: FrameDepth | None = next(self._sorted, None)
-
-    def depth_of(self, frame: int) -> FrameDepth | None:
-        """Return the depth of a frame, or None. Frames have to be requested in order."""
-        while self._next is not None and self._next.frame < frame:
-            self._next = next(self._sorted, None)
-        return self._next if self._next is not None and self._next.frame == frame else None
-
-    def _in_order(self, depths: PieceDepths) -> Iterator[FrameDepth]:
-        keyframe_depth: tuple[FrameDepth, WindowDepth] | None = None
-        for depth in depths:
-            if keyframe_depth is not None and depth.frame > keyframe_depth[0].frame:
-                self.last_keyframe = keyframe_depth[0].frame, keyframe_depth[1]
-                yield keyframe_depth[0]
-                keyframe_depth = None
-            if depth.frame in depths.final_depths:
-                keyframe_depth = depth, depths.final_depths[depth.frame]
-            else:
-                yield depth
-        if keyframe_depth is not None:
-            self.last_keyframe = keyframe_depth[0].frame, keyframe_depth[1]
-            yield keyframe_depth[0]
 
 
 def _transform_piece(piece: Piece, origin: np.ndarray, unit: float) -> Piece:

@@ -1,0 +1,69 @@
+"""Checks of the path of a stream, by pairs of its recent frames."""
+
+from collections import deque
+from collections.abc import Mapping
+
+import numpy as np
+
+from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
+from tisfm.reconstruction.mapping.solution import Piece
+from tisfm.reconstruction.path_checks.fixed_texture import spread_evenly
+from tisfm.reconstruction.path_checks.pieces import check_pair, check_with_pairs
+from tisfm.reconstruction.path_checks.settings import PATH_CHECKS
+from tisfm.reconstruction.result.path_check import PairEvidence, PathCheck
+from tisfm.reconstruction.result.statuses import contradict
+from tisfm.reconstruction.streaming.sliding_path import SlidingPath
+from tisfm.status import Status
+
+
+class StreamChecks:
+    """Checks the pieces of the path each time frames are yielded."""
+
+    def __init__(self, path: SlidingPath, frames: PreparedFrames) -> None:
+        self._path, self._frames = path, frames
+        # evidence for and against the path of a piece, from its last pairs of frames
+        self._evidence: dict[int, deque[PairEvidence]] = {}
+
+    def find_contradictions(
+        self,
+        pieces: Mapping[int, Piece],  # pieces by their numbers
+        # first, last: the first and the last new frame
+        first: int,
+        last: int,
+    ) -> dict[int, Status]:
+        """Return the status of the frames of each contradicted piece, by its number.
+
+        A message names what hides the motion, if the images of the new frames show it.
+        """
+        contradictions = {}
+        for number, piece in pieces.items():
+            check = self._check_piece(number, piece, first, last)
+            if check.contradicts:
+                frames = sorted(frame for frame in piece.poses if first <= frame <= last)
+                cause = self._path.find_image_cause(frames)
+                contradictions[number] = contradict(
+                    check.message, "" if cause is None else cause.message
+                )
+        return contradictions
+
+    def _check_piece(self, number: int, piece: Piece, first: int, last: int) -> PathCheck:
+        """Check the path of a piece by pairs that begin at new frames, and by earlier pairs."""
+        poses = self._path.select_recent(piece).poses
+        new_frames = [frame for frame in poses if first <= frame <= last]
+        evidence = self._evidence.setdefault(number, deque(maxlen=PATH_CHECKS.max_pairs))
+        for frame in spread_evenly(new_frames, PATH_CHECKS.max_stream_pairs):
+            pair = check_pair(
+                frame,
+                poses,
+                self._path.observations,
+                self._frames.grey,
+                self._static_pixels,
+                self._frames.camera,
+            )
+            if pair is not None:
+                evidence.append(pair)
+        return check_with_pairs(tuple(evidence), poses, self._frames.grey, self._frames.camera)
+
+    def _static_pixels(self, frame: int) -> np.ndarray:
+        used_pixels = self._frames.used_pixels(frame)
+        return np.ones(self._frames.shape, bool) if used_pixels is None else used_pixels
