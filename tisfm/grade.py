@@ -99,6 +99,8 @@ def depth_error(
     deviation: np.ndarray,
     # relative standard deviation of the focal length; infinite for a guess
     focal_deviation: float = 0.0,
+    # relative error of depth over that of the focal length; None for what is usual
+    focal_effect: float | None = None,
 ) -> tuple[float, float]:
     """Return the expected relative error of the depth of a frame, and the share of good pixels.
 
@@ -118,7 +120,7 @@ def depth_error(
     focal_deviation = min(focal_deviation, GRADES.guessed_focal_deviation)
     expected = np.hypot(
         GRADES.median_ratio * relative[has_deviation | ~has_depth],
-        GRADES.focal_effect * focal_deviation,
+        (GRADES.focal_effect if focal_effect is None else focal_effect) * focal_deviation,
     )
     if not has_deviation.any():
         return GRADES.max_error, 0.0

@@ -1,5 +1,6 @@
 """The result of a pair: 3D motion, depth, image motion, and their confidence."""
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -64,6 +65,12 @@ class Interpretation:
     focal_deviation : float
         Relative standard deviation of the focal length: 0 if it was given, infinite for a guess.
         `depth_error` and `grade` depend on it.
+    focal_effect : float
+        Relative change of depth over a relative change of the focal length, up to scale; NaN where
+        unknown.
+    focal_spread : float
+        Relative standard deviation of the focal length that the image motion of this pair alone
+        shows, at most that of a guess; NaN where unknown.
 
     Examples
     --------
@@ -95,6 +102,8 @@ class Interpretation:
     motions: np.ndarray | None = None
     labels: np.ndarray | None = field(default=None, repr=False)
     focal_deviation: float = field(default=0.0, repr=False)
+    focal_effect: float = field(default=math.nan, repr=False)
+    focal_spread: float = field(default=math.nan, repr=False)
 
     @cached_property
     def tau(self) -> np.ndarray:
@@ -149,7 +158,12 @@ class Interpretation:
     def _depth_quality(self) -> tuple[float, float]:
         if self.inverse_depth_std is None:
             return float("nan"), 0.0
-        return depth_error(self.inverse_depth, self.inverse_depth_std, self.focal_deviation)
+        return depth_error(
+            self.inverse_depth,
+            self.inverse_depth_std,
+            float(np.fmin(self.focal_deviation, self.focal_spread)),
+            None if np.isnan(self.focal_effect) else self.focal_effect,
+        )
 
     def points(
         self,

@@ -25,7 +25,7 @@ from tisfm.frames import MIN_SIDE
 from tisfm.settings import Settings
 from tisfm.status import History, Status
 
-FORMAT = 8  # increased with every change of the entries; earlier files are refused
+FORMAT = 9  # increased with every change of the entries; earlier files are refused
 _MAX_PIXELS = 2**24  # pixels of a packed frame, unless the file has more bytes than this
 _MAX_ABOUT_BYTES = 2**20  # bytes of the entry "about", which usually has a thousandth of that
 _MAX_HALF = 65504.0  # largest number of float16
@@ -35,7 +35,10 @@ _RIGID_ARRAYS = ("inverse_depth_std", "motions", "labels")  # stored unless moti
 _ENTRIES = ("about", *_REQUIRED_ARRAYS, *_RIGID_ARRAYS, *_HISTORY_ENTRIES)
 _ABOUT_ENTRIES = (
     "format", "version", "camera", "settings", "status", "message", "packed", "focal_deviation",
+    "focal_effect", "focal_spread",
 )  # fmt: skip
+# Numbers about the focal length, and their values where the file has null.
+_FOCAL_NUMBERS = {"focal_deviation": math.inf, "focal_effect": math.nan, "focal_spread": math.nan}
 _RIGID_STATUSES = (
     "pose_mismatch", "little_parallax", "pure_rotation", "two_motions", "behind_camera",
     "unexplained", "uncertain", "contradicted",
@@ -93,7 +96,7 @@ def write_interpretation(
         "status": str(result.status),
         "message": result.status.message,
         "packed": {},
-        "focal_deviation": result.focal_deviation if np.isfinite(result.focal_deviation) else None,
+        **{name: _number_or_none(getattr(result, name)) for name in _FOCAL_NUMBERS},
     }
     arrays = {name: getattr(result, name) for name in (*_REQUIRED_ARRAYS, *_RIGID_ARRAYS)}
     arrays.update({f"history_{name}": array for name, array in vars(result.history).items()})
@@ -187,10 +190,16 @@ def _read(file: NpzFile) -> dict[str, Any]:
             **{name.removeprefix("history_"): array for name, array in history.items()}
         ),
         version=about["version"],
-        focal_deviation=math.inf
-        if about["focal_deviation"] is None
-        else float(about["focal_deviation"]),
+        **{
+            name: unknown if about[name] is None else float(about[name])
+            for name, unknown in _FOCAL_NUMBERS.items()
+        },
     )
+
+
+def _number_or_none(number: float) -> float | None:
+    """Return a number as JSON has it: None in place of a number that is not finite."""
+    return float(number) if np.isfinite(number) else None
 
 
 def _read_packings(file: NpzFile, about: Any) -> dict[str, Packing]:
@@ -261,11 +270,12 @@ def _read_about(file: NpzFile) -> dict[str, Any]:
     for name in ("version", "status", "message"):
         if not isinstance(about[name], str):
             raise InputError(f"its {name} is {about[name]!r}, expected text")
-    deviation = about["focal_deviation"]
-    if deviation is not None and not (
-        isinstance(deviation, (int, float)) and not isinstance(deviation, bool) and deviation >= 0
-    ):
-        raise InputError(f"its focal_deviation is {deviation!r}, expected 0 or more, or null")
+    for name in _FOCAL_NUMBERS:
+        number = about[name]
+        if number is not None and not (
+            isinstance(number, (int, float)) and not isinstance(number, bool) and number >= 0
+        ):
+            raise InputError(f"its {name} is {number!r}, expected 0 or more, or null")
     return about
 
 

@@ -187,6 +187,7 @@ def interpret_pair(
     from tisfm.motion.estimate import history_of
     from tisfm.motion.field import field_estimate
     from tisfm.motion.fixed_pixels import resize_mask, with_fixed_note
+    from tisfm.motion.focal_evidence import with_focal_note
     from tisfm.motion.frame_agreement import confirms_large_motion, diverged_status, field_status
     from tisfm.motion.light import with_light_note
     from tisfm.motion.objects.estimation import objects_estimate
@@ -216,6 +217,24 @@ def interpret_pair(
                 fixed_pixels="keep",
             )
             return replace(result, status=with_fixed_note(result.status, fixed))
+        evidence = estimate.focal_evidence
+        if camera is None and evidence is not None and evidence.replaces_guess:
+            guess = prepared_pair.camera
+            result = interpret_pair(
+                frame0,
+                frame1,
+                camera=replace(guess, focal=guess.focal * math.exp(evidence.value)),
+                settings=settings,
+                pose=pose,
+                ignored=ignored,
+                scales_unit_range=scales_unit_range,
+                fixed_pixels=fixed_pixels,
+            )
+            return replace(
+                result,
+                status=with_focal_note(result.status, result.camera.focal, evidence),
+                focal_deviation=math.inf,
+            )
     else:
         estimate = objects_estimate(pyramid, settings, *prepared_pair.greys)
     flow, deviation = estimate.flow, estimate.inverse_depth_std
@@ -264,6 +283,8 @@ def interpret_pair(
                 status = depth_doubt
     status = with_brightness_advice(status, pyramid, settings)
     status = with_light_note(status, estimate.light)
+    if (evidence := estimate.focal_evidence) is not None:
+        status = evidence.add_note(status, is_guess=camera is None)
     if window is not None:
         _store_pair(window, pyramid, flow, occluded, status)
         if window.previous is None and previous is not None and previous.is_used:
@@ -292,6 +313,8 @@ def interpret_pair(
         history=history,
         version=__version__,
         focal_deviation=math.inf if camera is None and settings.motion != "field" else 0.0,
+        focal_effect=math.nan if evidence is None else evidence.depth_effect,
+        focal_spread=math.nan if evidence is None else evidence.spread,
     )
 
 

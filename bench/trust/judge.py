@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,7 +30,12 @@ MIN_PATH = 1e-3
 # Share of the frames that have to have depth, or be green, for a sequence to count so.
 MOST = 0.5
 
-OUTCOMES = ("wrong, green", "wrong, flagged", "right, flagged", "right, green", "refused")
+OUTCOMES = (
+    "wrong, green", "wrong, told", "wrong, flagged", "right, flagged", "right, green", "refused",
+)  # fmt: skip
+MAX_PLANE_RESIDUAL = 1e-3  # of inverse depth, relative: scenes with less are one plane
+MIN_SHARE_IN_FRONT = 0.99  # of the pixels that a plane has to be in front of the camera
+MIN_ANGLE = 10.0  # degrees between two motions
 
 
 def is_green(result: tisfm.Reconstruction, frame: int) -> bool:
@@ -280,6 +286,38 @@ def judge_pair(
         "grades": {str(result.grade): 1},
         "messages": [result.status.message] if result.status.message else [],
     }
+
+
+def has_second_motion(
+    depth: NDArray | None,  # (H, W): true depth
+    motion: NDArray | None,  # (4, 4): true motion, P₁ = R P₀ + t
+    focal: float,  # px
+) -> bool:
+    """Return whether a pair shows one plane, and a second motion explains it as well.
+
+    No program can tell the two motions apart, because both have the plane in front of the camera.
+    """
+    if depth is None or motion is None or not motion[:3, 3].any():
+        return False
+    height, width = depth.shape
+    rows, columns = np.mgrid[:height:4, :width:4]
+    x, y = (columns - (width - 1) / 2) / focal, (rows - (height - 1) / 2) / focal
+    rays = np.stack([x.ravel(), y.ravel(), np.ones(x.size)])
+    inverse_depth = 1 / depth[::4, ::4].ravel()
+    known = np.isfinite(inverse_depth)
+    plane, *_ = np.linalg.lstsq(rays[:, known].T, inverse_depth[known], rcond=None)
+    residual = np.abs(plane @ rays[:, known] / inverse_depth[known] - 1)
+    if np.median(residual) > MAX_PLANE_RESIDUAL:
+        return False
+    homography = motion[:3, :3] + np.outer(motion[:3, 3], plane)
+    _, _, translations, normals = cv2.decomposeHomographyMat(homography, np.eye(3))
+    true = motion[:3, 3] / np.linalg.norm(motion[:3, 3])
+    for translation, normal in zip(translations, normals, strict=True):
+        direction = translation[:, 0] / np.linalg.norm(translation)
+        angle = np.degrees(np.arccos(np.clip(direction @ true, -1, 1)))
+        if angle > MIN_ANGLE and (normal[:, 0] @ rays > 0).mean() >= MIN_SHARE_IN_FRONT:
+            return True
+    return False
 
 
 def _expected(errors: Sequence[float]) -> float | None:

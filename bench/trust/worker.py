@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 import tisfm
 from bench.trust.cases import FOCALS, SMALL, Case, Clip, all_cases, smoke_cases
 from bench.trust.films import render_film
-from bench.trust.judge import coverage, judge_pair, judge_sequence
+from bench.trust.judge import coverage, has_second_motion, judge_pair, judge_sequence
 from bench.trust.worlds import FRAMES, HEIGHT, WIDTH
 from tisfm.camera import Camera
 from tisfm.datasets import LoadedSequence, find_sequences
@@ -96,7 +96,12 @@ def run_pair(case: Case, data: Path | None, *, is_smoke: bool) -> dict[str, Any]
         depth = undistort_depth(depth, camera)
     first, second = case.frames
     motion = None if poses is None else np.linalg.inv(poses[second]) @ poses[first]
-    about = {"focal": result.camera.focal, "true focal": true.focal, "seconds": round(seconds, 2)}
+    about = {
+        "focal": result.camera.focal,
+        "true focal": true.focal,
+        "seconds": round(seconds, 2),
+        "two motions": has_second_motion(depth, motion, true.focal),
+    }
     return judge_pair(result, motion, depth) | about
 
 

@@ -127,6 +127,7 @@ def camera_estimate(
         start_flow=start.flow,
         start_level=start.level,
         light=start.light,
+        focal_evidence=start.focal_evidence,
     )
     return estimate if start.doubt is None else replace(estimate, status=start.doubt)
 

@@ -1,15 +1,12 @@
 """Whether another camera explains a flow field better: a zoom, a lens, or another focal length."""
 
-from dataclasses import dataclass
-from typing import Literal
-
 import cv2
 import numpy as np
 
+from tisfm.motion.camera_search import CameraSearch, measure_changes, search_cameras
 from tisfm.motion.epipolar_fit import (
     MIN_LENGTH,
     MIN_STIFFNESS,
-    EpipolarPoints,
     Pose,
     Rays,
     distance_jacobian,
@@ -19,57 +16,83 @@ from tisfm.motion.epipolar_fit import (
     robust_deviation,
     rotation_residual,
 )
+from tisfm.motion.focal_evidence import FocalEvidence, weigh_focal
 from tisfm.motion.settings import INTRINSICS
 from tisfm.status import Status
 from tisfm.visibility.confidence import median
 
-Parameter = Literal["zoom", "distortion"]
-PARAMETERS: tuple[Parameter, ...] = ("zoom", "distortion")
 
-
-@dataclass(frozen=True, kw_only=True)
-class CameraFit:
-    """A parameter of the camera, fitted jointly with a motion."""
-
-    parameter: Parameter
-    value: float  # logarithm of the zoom between the frames, or k₁ of both frames
-    significance: float  # standard deviations from 0
-    residual: float  # px: robust deviation of the distances from epipolar lines
-    pose: Pose  # the motion, ‖t‖ = 1
-
-
-def find_camera_doubt(
+def examine_camera(
     rays: Rays,  # of a flow field
     pose: Pose,  # the motion that fits the rays best, ‖t‖ = 1
     rotation: np.ndarray,  # (3, 3): the rotation that fits them best without a translation
-) -> Status | None:
-    """Return a status if the rays contradict the stated camera, else None."""
+) -> tuple[Status | None, FocalEvidence]:
+    """Return a status if the rays contradict the stated camera, and what the focal length does."""
     sample = rays.subsample(max(1, rays.trust.size // INTRINSICS.max_rays))
+    searches = search_cameras(sample, pose, rotation)
+    evidence = weigh_focal(sample, pose, searches[0])
     residual = robust_deviation(np.abs(nearest_points(sample, *pose).distance), sample.trust)
     if _may_only_turn(sample, residual, rotation):
-        return Status(
+        doubt = Status(
             "contradicted",
             "the camera may only have turned: a turn with another focal length or lens explains "
             "the image motion as well, so depth is probably wrong; give the true camera, with its "
             "distortion, or move the camera between the frames",
         )
-    # a noisy flow has a large residual, too, but fits in the mean of a region
-    is_thorough = (
-        residual > INTRINSICS.max_quiet_residual
-        and measure_misfit(rays, pose) > INTRINSICS.max_quiet_misfit
+        return doubt, evidence
+    direction_deviation = measure_direction_deviation(sample, pose)
+    significant = [search for search in searches if _is_better(sample, pose, search)]
+    if significant:
+        best = max(significant, key=lambda search: search.gain)
+        return _contradicted_status(best), evidence
+    if direction_deviation > INTRINSICS.max_direction_deviation:
+        doubt = Status(
+            "uncertain",
+            f"the direction of motion is known to ±{direction_deviation:.0f}° only, because the "
+            "image moves little beyond a turn: take frames farther apart, or move the camera "
+            "sideways",
+        )
+        return doubt, evidence
+    return None, evidence
+
+
+def measure_direction_deviation(
+    rays: Rays,  # of a flow field, some hundred
+    pose: Pose,  # the motion that fits the rays best, ‖t‖ = 1
+) -> float:
+    """Return the standard deviation of the direction of translation, degrees, where it is worst."""
+    points = nearest_points(rays, *pose)
+    deviation = robust_deviation(np.abs(points.distance), rays.trust)
+    scale = max(deviation, INTRINSICS.min_residual)
+    weight = rays.trust / (1 + (points.distance / (2 * scale)) ** 2) ** 2
+    weight *= INTRINSICS.independent_rays / (scale**2 * weight.size)
+    jacobian = distance_jacobian(points, rays.focal)
+    covariance = np.linalg.inv(fix_scale((jacobian * weight) @ jacobian.T, pose[1]))
+    largest = float(np.linalg.eigvalsh(covariance[:3, :3])[-1])
+    return float(np.degrees(np.sqrt(max(largest, 0.0))))
+
+
+def _is_better(rays: Rays, pose: Pose, search: CameraSearch) -> bool:
+    """Return whether another camera is clearly better, and changes the result."""
+    if not search.is_significant:
+        return False
+    changes = measure_changes(rays, pose, search.best)
+    return bool(
+        changes.depth[0] > INTRINSICS.min_depth_change
+        or changes.direction[0] > INTRINSICS.min_direction_change
     )
-    fits = [fit_camera(sample, pose, name, is_thorough=is_thorough) for name in PARAMETERS]
-    fit = max(fits, key=lambda fit: fit.significance)
-    if (
-        fit.significance < INTRINSICS.min_significance
-        or _depth_change(sample, pose, fit) < INTRINSICS.min_depth_change
-    ):
-        return None
-    if fit.parameter == "zoom":
-        text = f"with a zoom of {100 * np.expm1(fit.value):+.2g} % from frame 0 to frame 1"
+
+
+def _contradicted_status(search: CameraSearch) -> Status:
+    value = search.best_value
+    if search.parameter == "focal":
+        text = f"with a focal length that is {np.exp(value):.2g} times the stated one"
+        advice = "check the focal length"
+    elif search.parameter == "zoom":
+        text = f"with a zoom of {100 * np.expm1(value):+.2g} % from frame 0 to frame 1"
         advice = "check the focal length, or take frames without a zoom"
     else:
-        text = f"with a radial distortion of k₁ = {fit.value:.2g}"
+        text = f"with a radial distortion of k₁ = {value:.2g}"
         advice = (
             "check the focal length, and give the lens as Camera(distortion=…); "
             'tisfm.reconstruct(calibrate="radial") estimates it from a sequence'
@@ -78,101 +101,6 @@ def find_camera_doubt(
         "contradicted",
         f"the image motion contradicts the camera: it fits better {text}, so motion and depth are "
         f"probably wrong; {advice}",
-    )
-
-
-def fit_camera(rays: Rays, pose: Pose, parameter: Parameter, *, is_thorough: bool) -> CameraFit:
-    """Fit a motion and one parameter of the camera to rays.
-
-    A thorough fit has several starts, because a wrong motion may be a local minimum. Other fits end
-    after one iteration if the parameter is not significant.
-    """
-    other_start = getattr(INTRINSICS, f"{parameter}_start")
-    starts = (0.0, -other_start, other_start) if is_thorough else (0.0,)
-    fits = [_fit_from(rays, pose, parameter, start, may_end=not is_thorough) for start in starts]
-    return min(fits, key=lambda fit: fit.residual)
-
-
-def _fit_from(
-    rays: Rays, pose: Pose, parameter: Parameter, value: float, *, may_end: bool
-) -> CameraFit:
-    """Fit a motion and a parameter of the camera, which starts from a value."""
-    rotation, translation = pose
-    deviation = getattr(INTRINSICS, f"{parameter}_deviation")
-    largest = INTRINSICS.max_deviations * deviation
-    significance = scale = 0.0
-    for _ in range(INTRINSICS.iterations):
-        changed = _change_camera(rays, parameter, value)
-        points = nearest_points(changed, rotation, translation)
-        derivative = _camera_derivative(changed, points, rotation, parameter)
-        jacobian = np.vstack([distance_jacobian(points, rays.focal), derivative])
-        scale = max(robust_deviation(np.abs(points.distance), rays.trust), INTRINSICS.min_residual)
-        weight = rays.trust / (1 + (points.distance / (2 * scale)) ** 2) ** 2
-        weight *= INTRINSICS.independent_rays / (scale**2 * weight.size)
-        matrix = (jacobian * weight) @ jacobian.T
-        matrix[:6, :6] = fix_scale(matrix[:6, :6], translation)
-        matrix[6, 6] += 1 / deviation**2
-        gradient = jacobian @ (weight * points.distance)
-        gradient[6] -= value / deviation**2
-        step = np.linalg.solve(matrix, gradient)
-        turn = cv2.Rodrigues(step[3:6])[0]
-        rotation, translation = turn @ rotation, turn @ translation + step[:3]
-        translation = translation / np.linalg.norm(translation)
-        value = float(np.clip(value + step[6], -largest, largest))
-        significance = abs(value) / float(np.sqrt(np.linalg.inv(matrix)[6, 6]))
-        if may_end and significance < INTRINSICS.min_first_significance:
-            break
-    return CameraFit(
-        parameter=parameter,
-        value=value,
-        significance=significance,
-        residual=scale,
-        pose=(rotation, translation),
-    )
-
-
-def _depth_change(rays: Rays, pose: Pose, fit: CameraFit) -> float:
-    """Return the median relative change of depth, up to scale, by a parameter of the camera."""
-    before = nearest_points(rays, *pose).inverse_depth
-    changed = _change_camera(rays, fit.parameter, fit.value)
-    after = nearest_points(changed, *fit.pose).inverse_depth
-    is_ahead = (before > 0) & (after > 0)
-    if 2 * np.count_nonzero(is_ahead) < len(before):
-        return np.inf
-    ratio = after[is_ahead] / before[is_ahead]
-    return median(np.abs(ratio / median(ratio) - 1))
-
-
-def _change_camera(rays: Rays, parameter: Parameter, value: float) -> Rays:
-    """Return rays without a zoom or a distortion."""
-    x0, x1 = rays.rays0[:2], rays.rays1
-    if parameter == "zoom":
-        factor0, factor1 = 1.0, np.exp(-value)
-    else:
-        factor0, factor1 = (1 - value * (x * x).sum(axis=0) for x in (x0, x1))
-    return Rays(
-        rays0=np.vstack([x0 * factor0, rays.rays0[2:]]),
-        rays1=x1 * factor1,
-        trust=rays.trust,
-        focal=rays.focal,
-    )
-
-
-def _camera_derivative(
-    rays: Rays, points: EpipolarPoints, rotation: np.ndarray, parameter: Parameter
-) -> np.ndarray:
-    """Return the negative derivatives of distances by a parameter of the camera, (N,), px."""
-    x0, x1 = rays.rays0[:2], rays.rays1
-    change0, change1 = (
-        (np.zeros_like(x0), x1)
-        if parameter == "zoom"
-        else (x0 * (x0 * x0).sum(axis=0), x1 * (x1 * x1).sum(axis=0))
-    )
-    moved = rotation[:, :2] @ change0
-    moved_x, moved_y = (moved[:2] - np.stack([points.x, points.y]) * moved[2]) * points.nearness
-    return np.asarray(
-        rays.focal
-        * (points.normal_x * (change1[0] - moved_x) + points.normal_y * (change1[1] - moved_y))
     )
 
 

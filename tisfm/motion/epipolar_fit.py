@@ -27,7 +27,8 @@ class Rays:
     rays0: np.ndarray  # (3, N) float64: (x̂, ŷ, 1) in frame 0
     rays1: np.ndarray  # (2, N) float64: (x̂, ŷ) in frame 1
     trust: np.ndarray  # (N,) float64: weight of each ray
-    focal: float  # focal length, px
+    # focal length, px; rays of several cameras, (M, 3, N) and (M, 2, N), have focal lengths (M, 1)
+    focal: float
 
     @property
     def is_confident(self) -> np.ndarray:
@@ -84,27 +85,41 @@ def rotation_prior(
 
 
 def fix_scale(
-    matrix: np.ndarray,  # (6, 6): matrix of normal equations for a step in (t, ω)
-    direction: np.ndarray,  # (3,): direction of t, of length 1
+    matrix: np.ndarray,  # (…, 6, 6): matrix of normal equations for a step in (t, ω)
+    direction: np.ndarray,  # (…, 3): direction of t, of length 1
 ) -> np.ndarray:
     """Return a regular matrix of normal equations.
 
     A step along t changes the scale. The data do not determine the scale, so added terms keep it.
     """
-    scale_direction = np.concatenate([direction, np.zeros(3)])
-    regularisation = np.outer(scale_direction, scale_direction) + MIN_STIFFNESS * np.eye(6)
-    return matrix + (np.trace(matrix) + MIN_TRACE) * regularisation
+    along = np.concatenate([direction, np.zeros_like(direction)], axis=-1)
+    regularisation = along[..., :, None] * along[..., None, :] + MIN_STIFFNESS * np.eye(6)
+    trace = np.trace(matrix, axis1=-2, axis2=-1)[..., None, None]
+    return np.asarray(matrix + (trace + MIN_TRACE) * regularisation)
+
+
+def _rows(vectors: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return the coordinates of vectors, (…, K, N), as K arrays, (…, N)."""
+    return tuple(vectors[..., k, :] for k in range(vectors.shape[-2]))
+
+
+def _components(vector: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return the coordinates of a vector, (…, K), as K arrays, (…, 1)."""
+    return tuple(vector[..., k, None] for k in range(vector.shape[-1]))
 
 
 def triangulate_rays(
     rotated_rays: np.ndarray, rays1: np.ndarray, translation: np.ndarray
 ) -> np.ndarray:
-    """Return the inverse depth, (N,), that moves R x̂, (3, N), nearest to the rays (2, N)."""
+    """Return the inverse depth, (…, N), that moves R x̂, (…, 3, N), nearest to rays (…, 2, N)."""
     # With p = R x̂ + d t, x̂₁ p₃ = p₁ and ŷ₁ p₃ = p₂ are linear in d.
-    slope_x = translation[0] - rays1[0] * translation[2]
-    slope_y = translation[1] - rays1[1] * translation[2]
-    numerator = (rays1[0] * rotated_rays[2] - rotated_rays[0]) * slope_x
-    numerator += (rays1[1] * rotated_rays[2] - rotated_rays[1]) * slope_y
+    t_x, t_y, t_z = _components(translation)
+    x0, y0, z0 = _rows(rotated_rays)
+    x1, y1 = _rows(rays1)
+    slope_x = t_x - x1 * t_z
+    slope_y = t_y - y1 * t_z
+    numerator = (x1 * z0 - x0) * slope_x
+    numerator += (y1 * z0 - y0) * slope_y
     return numerator / np.maximum(slope_x * slope_x + slope_y * slope_y, MIN_SQUARE)
 
 
@@ -208,13 +223,20 @@ def pose_cost(rays: Rays, pose: Pose, scale: float) -> float:
 
 
 def nearest_points(rays: Rays, rotation: np.ndarray, translation: np.ndarray) -> EpipolarPoints:
-    """Return the points of the epipolar lines of a pose that are nearest to the rays."""
+    """Return the points of the epipolar lines of a pose that are nearest to the rays.
+
+    Several poses, (M, 3, 3) and (M, 3), give arrays (M, N). They may have rays of their own, with
+    one focal length each, (M, 1).
+    """
     rotated_rays = rotation @ rays.rays0
     inverse_depth = triangulate_rays(rotated_rays, rays.rays1, translation)
-    nearness = 1 / np.maximum(rotated_rays[2] + inverse_depth * translation[2], MIN_DEPTH_RATIO)
-    x = (rotated_rays[0] + inverse_depth * translation[0]) * nearness
-    y = (rotated_rays[1] + inverse_depth * translation[1]) * nearness
-    normal_x, normal_y = y * translation[2] - translation[1], translation[0] - x * translation[2]
+    t_x, t_y, t_z = _components(translation)
+    x0, y0, z0 = _rows(rotated_rays)
+    x1, y1 = _rows(rays.rays1)
+    nearness = 1 / np.maximum(z0 + inverse_depth * t_z, MIN_DEPTH_RATIO)
+    x = (x0 + inverse_depth * t_x) * nearness
+    y = (y0 + inverse_depth * t_y) * nearness
+    normal_x, normal_y = y * t_z - t_y, t_x - x * t_z
     reciprocal_length = 1 / np.maximum(
         np.sqrt(normal_x * normal_x + normal_y * normal_y), MIN_LENGTH
     )
@@ -227,26 +249,29 @@ def nearest_points(rays: Rays, rotation: np.ndarray, translation: np.ndarray) ->
         nearness=nearness,
         normal_x=normal_x,
         normal_y=normal_y,
-        distance=rays.focal * (normal_x * (rays.rays1[0] - x) + normal_y * (rays.rays1[1] - y)),
+        distance=rays.focal * (normal_x * (x1 - x) + normal_y * (y1 - y)),
     )
 
 
-def distance_jacobian(points: EpipolarPoints, focal: float) -> np.ndarray:
-    """Return the negative derivatives of distances by translation and rotation, (6, N), px."""
+def distance_jacobian(points: EpipolarPoints, focal: float | np.ndarray) -> np.ndarray:
+    """Return the negative derivatives of distances by translation and rotation, (…, 6, N), px."""
     x, y = points.x, points.y
     a, b = focal * points.normal_x, focal * points.normal_y
     radial_part = a * x + b * y
     translation_factor = points.inverse_depth * points.nearness
-    jacobian = np.empty((6, x.size))
+    jacobian = np.empty((*x.shape[:-1], 6, x.shape[-1]))
+    by_translation_x, by_translation_y, by_translation_z, by_turn_x, by_turn_y, by_turn_z = _rows(
+        jacobian
+    )
     # A point P moves by δP = δT + δω × P, divided by its depth and projected.
-    np.multiply(translation_factor, a, out=jacobian[0])
-    np.multiply(translation_factor, b, out=jacobian[1])
-    np.multiply(-translation_factor, radial_part, out=jacobian[2])
-    np.multiply(-y, radial_part, out=jacobian[3])
-    jacobian[3] -= b
-    np.multiply(x, radial_part, out=jacobian[4])
-    jacobian[4] += a
-    np.subtract(b * x, a * y, out=jacobian[5])
+    np.multiply(translation_factor, a, out=by_translation_x)
+    np.multiply(translation_factor, b, out=by_translation_y)
+    np.multiply(-translation_factor, radial_part, out=by_translation_z)
+    np.multiply(-y, radial_part, out=by_turn_x)
+    by_turn_x -= b
+    np.multiply(x, radial_part, out=by_turn_y)
+    by_turn_y += a
+    np.subtract(b * x, a * y, out=by_turn_z)
     return jacobian
 
 

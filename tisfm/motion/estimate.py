@@ -12,6 +12,7 @@ from tisfm import runtime
 from tisfm.camera import Camera
 from tisfm.kernels.layout.lanes import LaneData, aligned_empty, on_host
 from tisfm.kernels.model.readout import rigid_fields
+from tisfm.motion.focal_evidence import FocalEvidence
 from tisfm.motion.light import LightChange
 from tisfm.motion.problems import flow_problem
 from tisfm.motion.rigid_depth import RigidSolution
@@ -51,6 +52,9 @@ class Estimate:
     start_flow: np.ndarray | None = None
     start_level: int = 0  # level of `start_flow`
     light: tuple[LightChange, ...] = ()  # changes of light that were undone in the pyramid
+    # what the first flow field says about the focal length; None if a pose is known or matches
+    # gave the motion
+    focal_evidence: FocalEvidence | None = None
     # (h, w) bool or None: pixels that are fixed on the sensor, of a level; the estimate is then
     # incomplete, and has to be made again without these pixels
     fixed_pixels: np.ndarray | None = None

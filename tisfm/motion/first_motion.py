@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tisfm.motion.camera_doubts import find_camera_doubt
+from tisfm.motion.camera_doubts import examine_camera
 from tisfm.motion.depth_checks import pose_status
 from tisfm.motion.egomotion import (
     CameraMotion,
@@ -17,8 +17,9 @@ from tisfm.motion.egomotion import (
 )
 from tisfm.motion.epipolar_fit import Pose
 from tisfm.motion.estimate import no_motion_status
+from tisfm.motion.focal_evidence import FocalEvidence
 from tisfm.motion.frame_agreement import aperture_status, replaced_status, unrelated_status
-from tisfm.motion.homographies import plane_status
+from tisfm.motion.homographies import resolve_plane
 from tisfm.motion.light import LightChange, find_light_change
 from tisfm.motion.problems import flow_problem
 from tisfm.motion.settings import EGOMOTION, SPARSE
@@ -55,6 +56,8 @@ class FirstMotion:
     # whether the frames have one layout but different contents, so that matches are useless
     is_cut: bool = False
     light: tuple[LightChange, ...] = ()  # changes of light that were undone, in order
+    # what the flow field says about the focal length; None if a pose is known or matches gave it
+    focal_evidence: FocalEvidence | None = None
 
     @property
     def matrix(self) -> np.ndarray:
@@ -178,9 +181,15 @@ def first_motion(
         return replace(motion, rotation=fit.rotation_alone)
     if pose is None and status is None:
         rays = sample_rays(start.flow, start.trust, camera)
-        plane = plane_status(rays, fit.residual)
-        camera_doubt = find_camera_doubt(rays, (fit.rotation, fit.translation), fit.rotation_alone)
-        doubt = camera_doubt or plane or doubt
+        found_pose, plane = resolve_plane(rays, (fit.rotation, fit.translation), fit.residual)
+        camera_doubt, focal_evidence = examine_camera(rays, found_pose, fit.rotation_alone)
+        return replace(
+            motion,
+            rotation=found_pose[0],
+            translation=found_pose[1],
+            doubt=camera_doubt or plane or doubt,
+            focal_evidence=focal_evidence,
+        )
     return replace(motion, rotation=fit.rotation, translation=fit.translation, doubt=doubt)
 
 

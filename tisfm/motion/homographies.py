@@ -3,10 +3,19 @@
 import cv2
 import numpy as np
 
-from tisfm.motion.epipolar_fit import Pose, Rays, robust_deviation, usac_parameters
+from tisfm.motion.epipolar_fit import (
+    FreeUnknowns,
+    Pose,
+    Rays,
+    nearest_points,
+    refine_pose,
+    robust_deviation,
+    usac_parameters,
+)
 from tisfm.motion.settings import SPARSE
 from tisfm.status import Status
 
+ALL_FREE = FreeUnknowns(count=6, likely_rotation=None)
 TWO_MOTIONS = Status(
     "two_motions",
     "two camera motions explain the frames equally well, as if the frames show a single plane, so "
@@ -49,14 +58,17 @@ def plane_poses(
     return poses
 
 
-def plane_status(
-    rays: Rays,  # rays of a flow field
-    residual: float,  # robust deviation of the rays from the epipolar lines of the best motion, px
-) -> Status | None:
-    """Return a status if rays show one plane that allows two motions, else None.
+def resolve_plane(
+    rays: Rays,  # of a flow field
+    pose: Pose,  # the motion that fits the rays best, ‖t‖ = 1
+    residual: float,  # robust deviation of the rays from the epipolar lines of this motion, px
+) -> tuple[Pose, Status | None]:
+    """Return the motion of rays that may show one plane, and a status if a second one is as likely.
 
     In general a homography has two decompositions. If the plane of one decomposition is behind the
-    camera for some of the rays, this decomposition is wrong.
+    camera for some of the rays, this decomposition is wrong. The motion of the other one is then
+    returned, even if the wrong motion fits the rays a little better. A second motion is as likely
+    only if it explains all rays as well, and not only those near the plane.
 
     References
     ----------
@@ -67,13 +79,45 @@ def plane_status(
     """
     sample = rays.subsample(max(1, rays.trust.size // SPARSE.plane_samples))
     homography, homography_error = _fit_homography(sample)
-    if homography_error > SPARSE.max_plane_ratio * max(residual, SPARSE.min_plane_distance):
-        return None
-    poses: list[Pose] = []
-    for pose in plane_poses(homography, sample, min_share=SPARSE.min_front_share):
-        if all(angle_between(pose[1], other[1]) >= SPARSE.min_translation_angle for other in poses):
-            poses.append(pose)
-    return TWO_MOTIONS if len(poses) > 1 else None
+    smallest = max(residual, SPARSE.min_plane_distance)
+    if homography_error > SPARSE.max_plane_ratio * smallest:
+        return pose, None
+    in_front = plane_poses(homography, sample, min_share=SPARSE.min_front_share)
+    others = [
+        (rotation, translation)
+        for start in in_front
+        if _is_other(start, pose)
+        for rotation, translation, _ in [
+            refine_pose(sample, start, ALL_FREE, iterations=SPARSE.plane_iterations)
+        ]
+        if _is_other((rotation, translation), pose)
+        and _residual(sample, (rotation, translation)) < SPARSE.max_second_residual * smallest
+    ]
+    if not others:
+        return pose, None
+    if all(_is_other(start, pose) for start in in_front):  # its own plane is partly behind
+        return others[0], None
+    return pose, TWO_MOTIONS
+
+
+def _is_other(pose: Pose, reference: Pose) -> bool:
+    """Return whether the translations of two motions differ clearly."""
+    return angle_between(pose[1], reference[1]) >= SPARSE.min_translation_angle
+
+
+def _residual(rays: Rays, pose: Pose) -> float:
+    """Return the robust deviation of rays from the epipolar lines of a motion, px."""
+    return robust_deviation(np.abs(nearest_points(rays, *pose).distance), rays.trust)
+
+
+def find_near_plane(
+    rays: Rays,  # of a flow field
+    pose: Pose,  # the motion that fits the rays best, ‖t‖ = 1
+) -> np.ndarray | None:
+    """Return the homography of rays that show nearly one plane, (3, 3), else None."""
+    homography, error = _fit_homography(rays)
+    smallest = max(_residual(rays, pose), SPARSE.min_plane_distance)
+    return homography if error < SPARSE.max_near_plane_ratio * smallest else None
 
 
 def _fit_homography(rays: Rays) -> tuple[np.ndarray, float]:

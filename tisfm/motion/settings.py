@@ -210,6 +210,11 @@ class SparseSettings:
     # distances from points of a homography divided by distances from epipolar lines, on a plane.
     # Noise alone gives 1.75, since points have two components; real frames give 2.6 or more.
     max_plane_ratio: float = 2.2
+    # the same ratio of scenes that are nearly a plane, for a camera with another focal length
+    max_near_plane_ratio: float = 4.0
+    plane_iterations: int = 10  # iterations of the second motion of a plane
+    # residual of this motion over that of the best one: with more, it is not as likely
+    max_second_residual: float = 1.2
     min_plane_distance: float = 0.02  # px: smallest distance from epipolar lines in real frames
     # share of the rays that meet a visible plane in front of the camera
     min_front_share: float = 0.99
@@ -421,27 +426,47 @@ class LightSettings:
 class IntrinsicsSettings:
     """Whether another camera explains a flow field better."""
 
-    max_rays: int = 500  # rays that are compared
+    max_rays: int = 200  # rays that are compared
     independent_rays: int = 30  # rays with independent errors; neighbours share errors of the flow
     min_residual: float = 0.02  # px of the level: smaller residuals are equally good
-    iterations: int = 4  # iterations of a fit
-    # standard deviations: a parameter below this after the first iteration is left out
-    min_first_significance: float = 1.0
-    # px of the level, and distance over parallax in regions: a larger residual and misfit show a
-    # wrong motion, so a fit has several starts
-    max_quiet_residual: float = 0.03
-    max_quiet_misfit: float = 0.03
-    # logarithm of the zoom, and k₁: other values from which fits start
-    zoom_start: float = 0.03
-    distortion_start: float = 0.2
-    # standard deviations of the priors of both, and the largest value in these deviations
-    zoom_deviation: float = 0.05
-    distortion_deviation: float = 0.3
-    max_deviations: float = 4.0
-    # standard deviations of a zoom or a distortion; at most 1.3 for the right camera
+    weight_behind: float = 0.2  # weight of points behind the camera
+    # values that are tried with both signs: logarithm of the focal length, logarithm of the zoom
+    # from frame 0 to frame 1, and k₁
+    focal_values: tuple[float, ...] = (0.15, 0.3, 0.45, 0.6, 0.9)
+    zoom_values: tuple[float, ...] = (0.005, 0.01, 0.02, 0.04, 0.08)
+    distortion_values: tuple[float, ...] = (0.04, 0.08, 0.16, 0.32, 0.6)
+    # standard deviations of the priors of these values
+    focal_prior: float = 0.5
+    zoom_prior: float = 0.05
+    distortion_prior: float = 0.3
+    max_overshoot: float = 1.2  # largest value of a fit over the largest value that is tried
+    undistortion_iterations: int = 5  # iterations of the radius without distortion
+    min_distortion: float = 0.3  # smallest scale of a point by the distortion
+    other_iterations: int = 3  # iterations of a motion that is far from the stated camera's
+    joint_iterations: int = 6  # iterations of motion and value, from the best value
+    min_change: float = 0.02  # standard deviations: a smaller change of the value ends them
+    # standard deviations of a value from 0, and by which it explains the rays better
     min_significance: float = 2.5
-    # median relative change of depth by this parameter that matters, as for a good grade
+    min_gain: float = 2.3
+    # median relative change of depth, and change of direction, rad, by this value that matter
     min_depth_change: float = 0.03
+    min_direction_change: float = 0.14
+    # squared standard deviations by which an allowed focal length may explain rays worse
+    max_allowed_cost: float = 4.0
+    # logarithms of the focal length over the stated one: errors of a stated focal length, and
+    # errors that change depth in proportion
+    max_wrong_focal: float = 0.5
+    max_wrong_guess: float = 0.9  # the same of a guess
+    max_linear_focal: float = 0.35
+    max_focal_deviation: float = 0.15  # relative: of an estimate in place of a guess
+    max_depth_effect: float = 1.0  # relative change of depth over that of the focal length
+    # relative change of depth, and change of direction, rad, that a user has to know of
+    max_depth_change: float = 0.10
+    max_direction_change: float = 0.14
+    max_rotation_change: float = 0.035  # rad, by such a focal length
+    # degrees: standard deviation of the direction of motion; at most 4.1 of right pairs, and 4.5 of
+    # wrong ones
+    max_direction_deviation: float = 4.3
     turn_iterations: int = 8  # iterations of the fit of a turn
     min_turn_step: float = 1e-4  # rad, and in both parameters: a shorter step ends this fit
     turn_degree: int = 3  # degree of the polynomials that turns are nearly
@@ -462,8 +487,8 @@ class IntrinsicsSettings:
     misfit_percentile: int = 75  # percentile of regions that is judged
     min_rays_of_region: int = 8  # rays of a region that is judged
     min_parallax: float = 0.05  # px of the level: smaller parallax of a region counts as this
-    # distance from epipolar lines divided by parallax: at most 0.032 on rendered scenes
-    max_misfit: float = 0.07
+    # distance from epipolar lines divided by parallax: at most 0.16 of right pairs
+    max_misfit: float = 0.17
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -137,7 +137,7 @@ def test_a_mirror_shows_the_room_behind_the_camera():
 def test_the_report_lists_wrong_and_flagged_cases():
     record = {
         "name": "room", "task": "sequence", "half": "A", "clean": True, "flag due": False,
-        "outcome by status": "wrong, green",
+        "kind": "clean", "outcome by status": "wrong, green",
         "statuses": {"converged": 2}, "messages": ["no parallax"],
         "focal": 110.0, "true focal": 100.0, "code": "new",
     }  # fmt: skip
@@ -149,6 +149,33 @@ def test_the_report_lists_wrong_and_flagged_cases():
     assert "- room: path" in text
     assert "- hall: no parallax" in text and "| hall \\* | A |" in text
     assert "| room | A | wrong, green | path | 2 converged |" in text
+
+
+def test_results_that_name_the_fault_of_the_camera():
+    record = {
+        "outcome": "wrong, green", "kind": "focal", "flag due": False, "clean": False,
+        "messages": ["The result depends on the stated focal length"],
+    }  # fmt: skip
+    assert report.settle(record) == "wrong, told" and not report.is_missed(record)
+    assert report.is_missed(record | {"kind": "clean"})
+    named = record | {"outcome": "right, flagged", "messages": ["it contradicts the camera"]}
+    assert not report.is_false_alarm(named)
+    assert report.is_false_alarm(named | {"kind": "clean"})
+    assert report.is_false_alarm(named | {"messages": ["two motions"]})
+    assert not report.is_false_alarm(named | {"kind": "clean", "two motions": True})
+
+
+@pytest.mark.parametrize(
+    ("twist", "is_ambiguous"),
+    [((-0.4, 0.05, -0.4, 0, 0.02, 0), True), ((-0.4, 0.05, 0.2, 0, 0.02, 0), False)],
+)
+def test_a_plane_may_have_two_motions(twist, is_ambiguous):
+    rows, columns = np.mgrid[:90, :120]
+    x, y = (columns - 59.5) / 75, (rows - 44.5) / 75
+    depth = 4 / (1 + 0.5 * x - 0.3 * y)
+    assert judge.has_second_motion(depth, pose_matrix(twist), 75.0) == is_ambiguous
+    hills = depth * (1 + 0.05 * np.sin(columns / 5))
+    assert not judge.has_second_motion(hills, pose_matrix(twist), 75.0)
 
 
 def test_a_poor_grade_is_a_flag():
