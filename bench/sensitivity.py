@@ -43,9 +43,12 @@ Changes = dict[str, float] | str  # % by figure, empty for the same bits; or the
 Row = tuple[str, float, list[Changes]]  # setting, value, and changes for each factor
 Group = tuple[Sequence[str], Sequence[Row], Figures]  # settings objects, their rows, and the base
 MOTION, RECONSTRUCTION = "tisfm.motion", "tisfm.reconstruction"
-STAGES_OF_PAIRS = ("EGOMOTION", "DEPTH", "SPARSE", "LIGHT", "INTRINSICS", "FIXED")
+STAGES_OF_PAIRS = (
+    "settings.EGOMOTION", "settings.DEPTH", "settings.SPARSE", "camera_settings.LIGHT",
+    "camera_settings.INTRINSICS", "camera_settings.FIXED",
+)  # fmt: skip
 STAGES = {  # settings objects by the inputs that reach them
-    ("camera", "pairs"): [f"{MOTION}.settings.{name}" for name in STAGES_OF_PAIRS],
+    ("camera", "pairs"): [f"{MOTION}.{name}" for name in STAGES_OF_PAIRS],
     ("flow", "objects"): [f"{MOTION}.settings.PROPOSALS"],
     ("checks",): [f"{MOTION}.settings.CHECKS"],
     ("window",): [f"{MOTION}.settings.PREVIOUS"],

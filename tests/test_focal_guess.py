@@ -12,6 +12,8 @@ from PIL.TiffImagePlugin import IFDRational
 import tisfm
 from tisfm.focal_guess import GuessedFocalWarning, guess_camera, guess_focal
 from tisfm.formats import FormatError, read_image, write_png
+from tisfm.rigid import pose_matrix
+from tisfm.scenes import room_film
 
 H, W = 24, 36  # of the shape of film, where the diagonal makes no difference
 FILM, LENGTH = ExifTags.Base.FocalLengthIn35mmFilm, ExifTags.Base.FocalLength
@@ -195,3 +197,15 @@ def test_files_that_are_refused(tmp_path):
             guess_focal(tmp_path / name)
     with pytest.raises(IsADirectoryError):
         guess_focal(tmp_path)
+
+
+@pytest.mark.parametrize("focal", [96.0, 144.0])
+def test_a_pair_that_turns_and_moves_forward_shows_its_focal_length(focal):
+    path = [np.eye(4), pose_matrix([0.06, 0.02, 0.1, 0.024, -0.08, 0.016])]
+    film = room_film(path, 120, 160, focal=focal, textured=True)
+    settings = tisfm.Settings.preset("fast", motion="camera")
+    with pytest.warns(GuessedFocalWarning):
+        result = tisfm.interpret(*film.frames, settings=settings)
+    assert result.camera.focal == pytest.approx(focal, rel=0.1)  # the guess is 192 px
+    assert "The image motion gave the focal length" in result.status.message
+    assert result.focal_deviation == np.inf and result.focal_spread < 0.1 and result.grade.is_green

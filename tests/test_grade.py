@@ -108,16 +108,24 @@ def test_summary_of_grades():
     assert (two.median, two.median_error) == ("fair", 0.05)  # the later one of two in the middle
 
 
-def test_a_pair_with_a_guessed_focal_length_is_poor(tmp_path):
+def test_a_pair_is_graded_by_what_its_focal_length_does(tmp_path):
     scene = static_scene("sideways", 72, 96)
     settings = tisfm.Settings.preset("fast", motion="camera")
     known = tisfm.interpret(scene.frame0, scene.frame1, camera=scene.camera, settings=settings)
     assert known.focal_deviation == 0 and known.grade.is_green
+    assert known.focal_effect < 0.2 and known.focal_spread > 0.1  # depth hardly depends on it
     guessed = replace(known, focal_deviation=np.inf)
-    assert guessed.grade == "poor" and guessed.depth_error > known.depth_error
-    guessed.save(tmp_path / "pair.npz")
-    again = tisfm.Interpretation.load(tmp_path / "pair.npz")
-    assert again.focal_deviation == np.inf and again.grade == "poor"
+    assert guessed.depth_error > known.depth_error and guessed.grade.is_green
+    unknown = replace(guessed, focal_effect=np.nan, focal_spread=np.nan)
+    assert unknown.grade == "poor" and unknown.depth_error > 0.12
+    dependent = replace(guessed, focal_effect=1.0)
+    assert dependent.grade == "poor" and dependent.depth_error > 0.1
+    for result in (guessed, unknown, dependent):
+        result.save(tmp_path / "pair.npz")
+        again = tisfm.Interpretation.load(tmp_path / "pair.npz")
+        for name in ("focal_deviation", "focal_effect", "focal_spread"):
+            np.testing.assert_equal(getattr(again, name), getattr(result, name))
+        assert again.grade == result.grade
     frames = [scene.frame0, scene.frame1]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -41,8 +41,8 @@ and less than half of its frames are green; refused if no piece is wrong and les
 frames have depth. Clean inputs have nothing wrong: one that is refused counts as right and
 flagged. A flag is due where the camera only turns, and for a pair of one plane that a second
 motion explains as well. A right result of an input with a wrong focal length, a zoom or a lens may
-be flagged if the message names the camera. A result is told if it is wrong and green because the
-stated focal length is wrong, and its message says that it depends on the stated focal length, which
+be flagged if the message names the camera. A result is told if it is wrong and green because of
+such a fault, and its message says that it depends on the stated focal length, which
 the image motion does not show. The true positions of sevenscenes are inexact: COLMAP differs from
 them by 5.8 mm, 2.4 % of the length of the path, and from tisfm by 1.3 mm. The limit of that path is
 3.2 %, the root of the sum of the squares.""".replace("\n", " ")
@@ -54,7 +54,7 @@ NAMES_FOCAL = "depends on the stated focal length"
 
 def settle(record: Record) -> str:
     """Return the outcome of a case; "wrong, told" if the result is green but names its cause."""
-    is_told = record["kind"] == "focal" and any(NAMES_FOCAL in m for m in record["messages"])
+    is_told = record["kind"] in CAMERA_FAULTS and any(NAMES_FOCAL in m for m in record["messages"])
     is_missed = record["outcome"] == "wrong, green"
     return "wrong, told" if is_missed and is_told else str(record["outcome"])
 

@@ -439,7 +439,17 @@ def test_history_that_no_run_has(saved, value, word):
 
 
 @pytest.mark.parametrize(
-    "name", ["format", "version", "camera", "settings", "status", "message", "focal_deviation"]
+    "name",
+    [
+        "format",
+        "version",
+        "camera",
+        "settings",
+        "status",
+        "message",
+        "focal_deviation",
+        "focal_effect",
+    ],
 )
 def test_load_without_a_word_about(saved, name):
     known = about_of(saved)

@@ -42,6 +42,7 @@ def test_a_textured_patch_is_interpreted_or_reported_as_too_little(seed, motion)
         "pure_rotation",
         "no_motion",
         "no_texture",  # on some processors, too few pixels are confident
+        "uncertain",  # so few pixels hardly show the direction of motion
         "two_motions",  # on others, texture that enters at the borders fits as well as the patch
     )
     for array in (result.flow, result.inverse_depth, result.confidence):

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 
 from tisfm.motion.camera_search import CameraSearch, measure_changes, search_cameras
+from tisfm.motion.camera_settings import INTRINSICS
 from tisfm.motion.epipolar_fit import (
     MIN_LENGTH,
     MIN_STIFFNESS,
@@ -17,7 +18,6 @@ from tisfm.motion.epipolar_fit import (
     rotation_residual,
 )
 from tisfm.motion.focal_evidence import FocalEvidence, weigh_focal
-from tisfm.motion.settings import INTRINSICS
 from tisfm.status import Status
 from tisfm.visibility.confidence import median
 
@@ -63,7 +63,7 @@ def measure_direction_deviation(
     """Return the standard deviation of the direction of translation, degrees, where it is worst."""
     points = nearest_points(rays, *pose)
     deviation = robust_deviation(np.abs(points.distance), rays.trust)
-    scale = max(deviation, INTRINSICS.min_residual)
+    scale = max(deviation, INTRINSICS.min_direction_residual)
     weight = rays.trust / (1 + (points.distance / (2 * scale)) ** 2) ** 2
     weight *= INTRINSICS.independent_rays / (scale**2 * weight.size)
     jacobian = distance_jacobian(points, rays.focal)

@@ -200,6 +200,11 @@ def motion_from_matches(start: FirstMotion, match_start: SparseStart) -> FirstMo
     if status == "uncertain":
         status, doubt = None, doubt or status
     is_rotation = status == "pure_rotation"
+    focal_evidence = None
+    if status is None and match_start.rays is not None:
+        pose = motion.rotation, motion.translation
+        camera_doubt, focal_evidence = examine_camera(match_start.rays, pose, motion.rotation_alone)
+        doubt = camera_doubt or doubt
     return replace(
         start,
         rotation=motion.rotation_alone if is_rotation else motion.rotation,
@@ -210,6 +215,7 @@ def motion_from_matches(start: FirstMotion, match_start: SparseStart) -> FirstMo
         flow=match_start.flow,
         trust=match_start.trust,
         uses_matches=True,
+        focal_evidence=focal_evidence,
     )
 
 

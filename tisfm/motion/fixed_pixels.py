@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.motion.camera_settings import FIXED
 from tisfm.motion.epipolar_fit import Pose, Rays, length, nearest_points, rotation_residual
-from tisfm.motion.settings import FIXED
 from tisfm.status import Status
 from tisfm.visibility.confidence import median
 

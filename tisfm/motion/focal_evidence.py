@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tisfm.motion.camera_search import CameraSearch, Changes, measure_changes
+from tisfm.motion.camera_settings import INTRINSICS
 from tisfm.motion.epipolar_fit import Pose, Rays
-from tisfm.motion.settings import INTRINSICS
 from tisfm.status import Status
 
 # Statuses of results that may be right, if the focal length is right.

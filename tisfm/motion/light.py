@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from tisfm.motion.settings import LIGHT
+from tisfm.motion.camera_settings import LIGHT
 from tisfm.motion.window_statistics import warp_image
 from tisfm.status import Status
 from tisfm.visibility.confidence import median

@@ -3,14 +3,14 @@
 D is inverse depth in px/frame.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.kernels.model import MIN_DEPTH_RATIO
 from tisfm.motion.depth_checks import pose_status
-from tisfm.motion.epipolar_fit import Pose, nearest_points
+from tisfm.motion.epipolar_fit import Pose, Rays, nearest_points
 from tisfm.motion.frame_agreement import unrelated_status
 from tisfm.motion.homographies import TWO_MOTIONS, angle_between
 from tisfm.motion.plane_sweep import MAX_COSTS, sweep_depth
@@ -39,6 +39,7 @@ class SparseStart:
     trust: np.ndarray  # (h, w) float32: trust in the flow, in [0, 1]
     mismatch: Status | None  # set if the frames do not match even along this flow
     doubt: Status | None  # set if another motion is as likely
+    rays: Rays | None = None  # all matches; None for a known pose
 
 
 def sparse_start(
@@ -77,7 +78,8 @@ def sparse_start(
         )
     if len(best_candidates) > 1 and (flow_pose is None or winner.motion.model == "plane"):
         doubt = TWO_MOTIONS
-    return winner.start(1 / pyramid.scales[match_level], doubt)
+    start = winner.start(1 / pyramid.scales[match_level], doubt)
+    return replace(start, rays=match_cost.rays)
 
 
 def known_pose_start(
