@@ -2,10 +2,8 @@
 
 import hashlib
 import math
-import os
-import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
 
@@ -14,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.trust import worlds
+from bench.trust.film_store import name_film, read_film, write_film
 from bench.trust.worlds import (
     FRAMES,
     HEIGHT,
@@ -30,7 +29,6 @@ from tisfm.rigid import pose_matrix
 from tisfm.scenes import Scene
 from tisfm.scenes.room import render_rolling_shutter
 
-CACHE = Path(tempfile.gettempdir()) / "tisfm-trust-films"
 NOISE = 1.5  # grey levels: noise of every film
 SAMPLES = 2  # rays per side of a pixel
 LENS_MARGIN = 1.4  # size of the picture that a lens distorts, over the size of the frames
@@ -70,17 +68,13 @@ def render_film(
     size: tuple[int, int] = (HEIGHT, WIDTH),  # px; smaller frames show the same view
     count: int = FRAMES,
 ) -> TrueFilm:
-    """Return the film of a world; rendered films are kept in a temporary folder."""
-    words = f"{_code_of_rendering()} {name} {disturbance} {size} {count}"
-    path = CACHE / f"{hashlib.sha256(words.encode()).hexdigest()[:16]}.npz"
-    if path.exists():
-        with np.load(path) as stored:
-            return TrueFilm(**{key: stored[key] for key in stored})
+    """Return the film of a world; rendered films are stored, see `film_store`."""
+    file = name_film(_code_of_rendering(), name, disturbance, size, count)
+    stored = read_film(file)
+    if stored is not None and stored.keys() == {field.name for field in fields(TrueFilm)}:
+        return TrueFilm(**stored)
     film = _render_film(name, disturbance, size, count)
-    CACHE.mkdir(exist_ok=True)
-    part = path.with_suffix(f".{os.getpid()}.npz")
-    np.savez(part, **vars(film))
-    part.replace(path)
+    write_film(file, vars(film))
     return film
 
 

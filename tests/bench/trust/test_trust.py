@@ -1,11 +1,12 @@
 """The benchmark that asks whether a result that is reported as good is wrong."""
 
+import os
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from bench.trust import cases, films, judge, report
+from bench.trust import cases, film_store, films, judge, report
 from bench.trust.worlds import smooth_path
 from tisfm.grade import grade_depth
 from tisfm.metrics import path_length
@@ -111,6 +112,29 @@ def test_cases_have_their_own_names_and_scenes_one_half():
     assert {case.half for case in listed} == {"A", "B"}
     for group in cases.by_film(listed):
         assert len({case.half for case in group}) == 1
+
+
+@pytest.fixture(autouse=True)
+def store(tmp_path, monkeypatch):
+    """Keep the films of tests apart from those of the user."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path / film_store.FOLDER
+
+
+def test_films_are_stored_for_the_user_and_old_ones_removed(store, monkeypatch):
+    arguments = ("street 0", films.Disturbance(), (24, 32), 2)
+    film = films.render_film(*arguments)
+    (path,) = store.iterdir()
+    assert store.stat().st_mode & 0o777 == 0o700
+    rendered = films._render_film
+    monkeypatch.setattr(films, "_render_film", lambda *_: pytest.fail("it is stored"))
+    np.testing.assert_array_equal(films.render_film(*arguments).frames, film.frames)
+    monkeypatch.setattr(films, "_render_film", rendered)
+    path.write_bytes(path.read_bytes()[:100])  # a damaged file is rendered again
+    np.testing.assert_array_equal(films.render_film(*arguments).frames, film.frames)
+    os.utime(path, (0, 0))
+    films.render_film("street 0", films.Disturbance(), (24, 32), 3)
+    assert path not in store.iterdir() and len(list(store.iterdir())) == 1
 
 
 @pytest.mark.parametrize(
