@@ -5,6 +5,7 @@ import os
 import time
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
@@ -44,7 +45,7 @@ def read_film(name: str) -> dict[str, np.ndarray] | None:
     return arrays
 
 
-def write_film(name: str, arrays: Mapping[str, np.ndarray]) -> None:
+def write_film(name: str, arrays: Mapping[str, Any]) -> None:
     """Store the arrays of a film; films that were not used for long are removed."""
     folder = find_store()
     part = folder / f"{name}.{os.getpid()}.part"
