@@ -51,7 +51,6 @@ def drive():
 
 
 # Without the mask, the path is contradicted: the lorry would lie behind the camera.
-@pytest.mark.nightly
 def test_lorry_that_drives_along_is_masked(tmp_path):
     frames, true_depth, labels, poses = drive()
     result = tisfm.reconstruct(

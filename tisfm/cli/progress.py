@@ -3,7 +3,7 @@
 import math
 import shutil
 import time
-from bisect import insort
+from bisect import bisect_left, insort
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -81,15 +81,19 @@ class TimeEstimate:
 
 
 class RunningErrors:
-    """The expected errors of depth so far, and their median."""
+    """The expected errors of the depth of frames so far, and their median."""
 
     def __init__(self) -> None:
-        self._errors: list[float] = []
+        self._errors: list[float] = []  # sorted
+        self._by_frame: dict[int, float] = {}
 
-    def add(self, error: float) -> None:
-        """Add the expected relative error of a frame or a pair; NaN is left out."""
+    def add(self, frame: int, error: float) -> None:
+        """Set the expected relative error of a frame, by its number; NaN is left out."""
+        if (earlier := self._by_frame.pop(frame, None)) is not None:
+            del self._errors[bisect_left(self._errors, earlier)]
         if not math.isnan(error):
             insort(self._errors, error)
+            self._by_frame[frame] = error
 
     @property
     def text(self) -> str:

@@ -241,7 +241,7 @@ def reconstruct(options: Reconstruct) -> int:
             bar.update(task, description=STAGES[stage] + text, completed=done, total=total)
 
         def tell_depth(frame: int, error: float) -> None:
-            errors.add(error)
+            errors.add(frame, error)
             bar.update(task, description=f"{STAGES['depth']}, {errors.text}")
 
         result = run.result(resume=options.resume, progress=tell_progress, report_depth=tell_depth)

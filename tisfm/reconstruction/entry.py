@@ -132,7 +132,8 @@ def reconstruct(
     report_depth : callable, optional
         Called as ``report_depth(frame, error)`` after the depth of each frame, with the number of
         the frame in the result and the expected relative error of its depth, as in
-        `Reconstruction.depth_error`.
+        `Reconstruction.depth_error`. If pixels that move on their own are masked, frames get their
+        depth anew, and are reported once more.
 
     Returns
     -------
