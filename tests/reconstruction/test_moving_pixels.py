@@ -7,6 +7,7 @@ import pytest
 
 import tisfm
 from tests.reconstruction.films import path_error
+from tisfm.exports import SequenceFrames
 from tisfm.grade import Grade
 from tisfm.reconstruction.result.path_check import PathCheck
 from tisfm.reconstruction.result.statuses import add_mask_notes
@@ -59,6 +60,9 @@ def test_lorry_that_drives_along_is_masked(tmp_path):
     assert set(result.status) == {"converged"} and not result.objects
     assert path_error(result.poses, poses) < 0.01
     loaded = tisfm.Reconstruction.load(tmp_path)
+    masks = SequenceFrames(loaded).masks(0)
+    np.testing.assert_array_equal(masks.pop("at-rest"), loaded.labels(0) == 0)
+    assert not masks
     for frame in result.keyframes:
         masked, lorry = loaded.labels(frame) > 0, labels[frame] == LORRY
         assert masked[lorry].mean() > 0.95 and masked[~lorry].mean() < 0.06

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tisfm.errors import InputError
 from tisfm.grade import Grade, GradeSummary
-from tisfm.reconstruction.result.folder import DEPTH, RECORD, depth_path
+from tisfm.reconstruction.result.folder import DEPTH, RECORD, depth_path, has_labels
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.results.frame import ResultFrame
@@ -136,7 +136,7 @@ class SequenceFrames:
 
     def masks(self, number: int) -> dict[str, NDArray[np.bool_]]:
         """Return the mask of the static scene, and of every moving object."""
-        if self._result.settings.motion != "objects":
+        if not (self._result.settings.motion == "objects" or has_labels(self.folder)):
             raise InputError(
                 f"{self.folder} has no labels of moving objects: reconstruct with --motion objects"
             )
