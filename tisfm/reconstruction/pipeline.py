@@ -22,6 +22,8 @@ def reconstruct_sequence(job: Job) -> Reconstruction:
     reading = read_frames(job)
     path_result = solve_path(job, reading)
     calibration = find_calibration(job, reading, path_result)
+    if not job.revises_camera:  # the camera is final: warn before the long computation
+        warn_of_camera(calibration)
     depth = find_depth(job, reading, path_result.path, calibration.relative_focal_std)
     checks = check_pieces(job, reading.frames, path_result.path, depth)
     masked = mask_moving_pixels(job, reading, path_result, checks)
@@ -31,5 +33,6 @@ def reconstruct_sequence(job: Job) -> Reconstruction:
         depth = find_depth(job, reading, path_result.path, calibration.relative_focal_std)
         depth = replace(depth, status=add_mask_notes(depth.status, masked.moving_shares))
         checks = check_pieces(job, reading.frames, path_result.path, depth)
-    warn_of_camera(calibration)
+    if job.revises_camera:
+        warn_of_camera(calibration)
     return write_result(job, reading, path_result, calibration, depth, checks)
