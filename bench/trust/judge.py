@@ -144,7 +144,10 @@ def judge_sequence(
         ],
         "statuses": dict(Counter(map(str, result.status))),
         "grades": dict(Counter(map(str, result.grades))),
-        "messages": sorted({s.message for s in result.status if s.message})[:4],
+        "messages": [
+            *sorted({s.message for s in result.status if s.message})[:4],
+            *[result.calibration.message] * bool(result.calibration.message),
+        ],
     }
 
 

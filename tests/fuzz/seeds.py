@@ -198,7 +198,7 @@ def reconstructions(motion="objects"):
     numbers = [field.name for field in fields(PairEvidence)]
     pair = PairEvidence(**dict.fromkeys(numbers, 1))
     about = {
-        "format": 4,
+        "format": 5,
         "version": "0",
         "camera": asdict(Camera(500.0)),
         "calibration": {"origin": "guessed", "focal_std": None},

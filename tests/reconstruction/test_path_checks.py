@@ -15,8 +15,10 @@ from tisfm.reconstruction.frames.image_motion import chain_flows
 from tisfm.reconstruction.path_checks import dense_pairs
 from tisfm.reconstruction.path_checks.dense_pairs import find_matching_pixels
 from tisfm.reconstruction.path_checks.pieces import choose_second_frame
+from tisfm.reconstruction.result.calibration import GIVEN
 from tisfm.reconstruction.result.folder import FIXED_MASK
 from tisfm.reconstruction.result.path_check import PairEvidence, PathCheck
+from tisfm.reconstruction.stages.checks import add_focal_note
 from tisfm.reconstruction.tracks.tracker import Observations
 
 FAST = tisfm.Settings.preset("fast", motion="camera")
@@ -134,7 +136,7 @@ def test_an_unknown_value_is_refused():
 GOOD = PairEvidence(
     first=0, second=1, excess=0.0, residual_ratio=1.0, direction=1.0, direction_deviation=1.0,
     rotation=0.0, behind=0.0, rank=0.9, zoom=0.0, zoom_deviation=0.001, zoom_gain=1.0,
-    parallax=0.01,
+    parallax=0.01, focal_spread=0.1, focal_depth=0.02, focal_direction=1.0, focal_rotation=0.5,
 )  # fmt: skip
 
 
@@ -142,6 +144,20 @@ def check_of(fixed_share=0.0, infinity_motion=5.0, **changes):
     """Return the check of a path with one pair, whose evidence is good but for the changes."""
     pair = replace(GOOD, **changes)
     return PathCheck(pairs=(pair,), fixed_share=fixed_share, infinity_motion=infinity_motion)
+
+
+def test_a_sequence_that_depends_on_its_stated_focal_length_says_so():
+    check = check_of(focal_spread=0.3, focal_depth=0.02, focal_direction=40.0, focal_rotation=1.0)
+    noted = add_focal_note(GIVEN, [check])
+    assert noted.origin == "given" and "the result depends on the stated focal" in noted.message
+    assert "direction of motion by up to 40°; check" in noted.message
+    estimated = replace(GIVEN, origin="estimated")
+    assert add_focal_note(estimated, [check]) is estimated
+    shown = replace(check, pairs=check.pairs * 20)  # together, twenty pairs show the focal length
+    assert check.focal_spread == pytest.approx(0.3) and shown.focal_spread < 0.1
+    assert add_focal_note(GIVEN, [shown]) is GIVEN
+    assert add_focal_note(GIVEN, [check_of(focal_spread=0.3)]) is GIVEN  # it changes little
+    assert add_focal_note(GIVEN, []) is GIVEN
 
 
 @pytest.mark.parametrize(

@@ -77,20 +77,21 @@ def search_cameras(
     rays: Rays,  # of a flow field, some hundred
     pose: Pose,  # the motion that fits the rays best with the stated camera, ‖t‖ = 1
     rotation: np.ndarray,  # (3, 3): the rotation that fits them best without a translation
+    parameters: tuple[Parameter, ...] = PARAMETERS,  # the first of them is "focal"
 ) -> list[CameraSearch]:
-    """Search for the values of all parameters, and the motions, that explain rays best."""
-    stated = Cameras.of("focal", [0.0] * len(PARAMETERS), [pose] * len(PARAMETERS))
-    stated = replace(stated, parameters=PARAMETERS)
-    tried = _follow(rays, pose) + _try_other_motions(rays, pose, rotation)
+    """Search for the values of parameters, and the motions, that explain rays best."""
+    stated = Cameras.of("focal", [0.0] * len(parameters), [pose] * len(parameters))
+    stated = replace(stated, parameters=parameters)
+    tried = _follow(rays, pose, parameters) + _try_other_motions(rays, pose, rotation)
     tried = stated + improve_cameras(rays, tried, is_free=False)[0]
     points = find_points(rays, tried)
     deviations = robust_deviations(np.abs(points.distance), rays.trust)
     groups = tried.groups
-    scales = np.array([deviations[groups == group].min() for group in range(len(PARAMETERS))])
+    scales = np.array([deviations[groups == group].min() for group in range(len(parameters))])
     scales = np.maximum(scales, INTRINSICS.min_residual)
     costs = measure_costs(points, rays, tried, scales)
     starts = []  # the best of each parameter and sign
-    for group in range(len(PARAMETERS)):
+    for group in range(len(parameters)):
         for sign in (1, -1):
             rows = np.flatnonzero((groups == group) & (sign * tried.values > 0))
             starts.append(rows[np.argmin(costs[rows])])
@@ -98,7 +99,7 @@ def search_cameras(
     refined_costs = measure_costs(find_points(rays, refined), rays, refined, scales)
     found, found_costs = tried + refined, np.concatenate([costs, refined_costs])
     searches = []
-    for group, parameter in enumerate(PARAMETERS):
+    for group, parameter in enumerate(parameters):
         rows = np.flatnonzero(found.groups == group)
         best = rows[[np.argmin(found_costs[rows])]]
         _, deviation = improve_cameras(rays, found.select(best), is_free=True)
@@ -133,14 +134,16 @@ def measure_changes(rays: Rays, pose: Pose, cameras: Cameras) -> Changes:
     )
 
 
-def _follow(rays: Rays, pose: Pose) -> Cameras:
+def _follow(rays: Rays, pose: Pose, parameters: tuple[Parameter, ...]) -> Cameras:
     """Return cameras of all values, whose motions follow from value to value.
 
     The smallest values of a parameter come first.
     """
     signs = np.array([1.0, -1.0])
-    current = Cameras.of("focal", [0.0] * 6, [pose] * 6)
-    current = replace(current, parameters=tuple(name for name in PARAMETERS for _ in signs))
+    names = tuple(name for name in parameters for _ in signs)
+    current = replace(
+        Cameras.of("focal", [0.0] * len(names), [pose] * len(names)), parameters=names
+    )
     found = current.select(np.array([], np.intp))
     for step in range(max(map(len, STEPS.values()))):
         rows = [row for row, name in enumerate(current.parameters) if step < len(STEPS[name])]

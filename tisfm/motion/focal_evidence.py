@@ -4,9 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tisfm.motion.camera_search import CameraSearch, Changes, measure_changes
+from tisfm.motion.camera_search import (
+    CameraSearch,
+    Changes,
+    measure_changes,
+    search_cameras,
+)
 from tisfm.motion.camera_settings import INTRINSICS
-from tisfm.motion.epipolar_fit import Pose, Rays
+from tisfm.motion.epipolar_fit import Pose, Rays, rotation_alone
 from tisfm.status import Status
 
 # Statuses of results that may be right, if the focal length is right.
@@ -43,9 +48,8 @@ class FocalEvidence:
 
         With a guess, such a result is uncertain.
         """
-        texts = self._describe_changes(
-            INTRINSICS.max_wrong_guess if is_guess else INTRINSICS.max_wrong_focal
-        )
+        max_size = INTRINSICS.max_wrong_guess if is_guess else INTRINSICS.max_wrong_focal
+        texts = describe_changes(*self.largest_changes(max_size))
         if not texts or status not in NOTED_STATUSES:
             return status
         note = (
@@ -58,21 +62,34 @@ class FocalEvidence:
         advice = "Give the focal length" if is_guess else "Check the focal length"
         return Status(str(status), f"{status.message}. {note}. {advice}")
 
-    def _describe_changes(self, max_size: float) -> list[str]:
-        """Return texts of the large changes by focal lengths up to a size."""
+    def largest_changes(self, max_size: float) -> tuple[float, float, float]:
+        """Largest changes of depth, direction and rotation by allowed focal lengths up to a size.
+
+        The change of depth is relative, and the others are in rad.
+        """
         is_chosen = self.sizes <= max_size
         depth, direction, rotation = (
             float(change[is_chosen].max(initial=0))
             for change in (self.changes.depth, self.changes.direction, self.changes.rotation)
         )
-        texts = []
-        if depth > INTRINSICS.max_depth_change:
-            texts.append(f"depth by up to {100 * min(depth, 1.0):.0f} %")
-        if direction > INTRINSICS.max_direction_change:
-            texts.append(f"the direction of motion by up to {np.degrees(direction):.0f}°")
-        if rotation > INTRINSICS.max_rotation_change:
-            texts.append(f"the rotation by up to {np.degrees(rotation):.0f}°")
-        return texts
+        return min(depth, 1.0), direction, rotation
+
+
+def describe_changes(
+    depth: float,  # relative
+    # direction, rotation: rad
+    direction: float,
+    rotation: float,
+) -> list[str]:
+    """Return texts of the changes that a user has to know of."""
+    texts = []
+    if depth > INTRINSICS.max_depth_change:
+        texts.append(f"depth by up to {100 * depth:.0f} %")
+    if direction > INTRINSICS.max_direction_change:
+        texts.append(f"the direction of motion by up to {np.degrees(direction):.0f}°")
+    if rotation > INTRINSICS.max_rotation_change:
+        texts.append(f"the rotation by up to {np.degrees(rotation):.0f}°")
+    return texts
 
 
 def weigh_focal(rays: Rays, pose: Pose, search: CameraSearch) -> FocalEvidence:
@@ -98,6 +115,13 @@ def weigh_focal(rays: Rays, pose: Pose, search: CameraSearch) -> FocalEvidence:
         sizes=sizes[chosen][allowed],
         changes=changes.select(allowed),
     )
+
+
+def examine_focal(rays: Rays, pose: Pose) -> FocalEvidence:
+    """Return what rays say about the focal length; the motion is that of the stated one."""
+    sample = rays.subsample(max(1, rays.trust.size // INTRINSICS.max_rays))
+    (search,) = search_cameras(sample, pose, rotation_alone(sample), ("focal",))
+    return weigh_focal(sample, pose, search)
 
 
 def with_focal_note(status: Status, focal: float, evidence: FocalEvidence) -> Status:

@@ -4,6 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import spearmanr
 
+from tisfm.motion.camera_settings import INTRINSICS
 from tisfm.motion.epipolar_fit import (
     EpipolarPoints,
     Pose,
@@ -15,6 +16,7 @@ from tisfm.motion.epipolar_fit import (
     robust_deviation,
     rotation_residual,
 )
+from tisfm.motion.focal_evidence import examine_focal
 from tisfm.reconstruction.path_checks.dense_pairs import DensePair
 from tisfm.reconstruction.path_checks.settings import PATH_CHECKS
 from tisfm.reconstruction.result.path_check import PairEvidence
@@ -40,6 +42,8 @@ def weigh_pair(
     )
     behind = (path_points.inverse_depth < 0) & (path_parallax > limit)
     zoom, zoom_deviation, zoom_residual = fit_zoom(pair.rays, pair.free)
+    focal = examine_focal(pair.rays, pair.free)
+    focal_changes = focal.largest_changes(INTRINSICS.max_wrong_focal)
     return PairEvidence(
         first=pair.first,
         second=pair.second,
@@ -56,6 +60,10 @@ def weigh_pair(
         zoom_gain=max(free_residual, PATH_CHECKS.min_zoom_residual)
         / max(zoom_residual, PATH_CHECKS.min_zoom_residual),
         parallax=float(np.median(free_parallax)) / max(pair.shape),
+        focal_spread=focal.spread,
+        focal_depth=focal_changes[0],
+        focal_direction=float(np.degrees(focal_changes[1])),
+        focal_rotation=float(np.degrees(focal_changes[2])),
     )
 
 

@@ -35,7 +35,7 @@ from tisfm.settings import Settings
 from tisfm.status import Status
 from tisfm.trajectory.poses import check_poses
 
-FORMAT = 4  # version of the format of the record
+FORMAT = 5  # version of the format of the record
 OBJECTS_FORMAT = 1  # version of the format of the file of moving objects
 RECORD = "reconstruction.json"
 MARKER = "reconstruction.begun"

@@ -25,6 +25,8 @@ class Limits:
     max_zoom_per_frame: float = 0.003  # logarithm
     min_zoom_significance: float = 6.0  # standard deviations
     max_fixed_share: float = 0.02  # share of the texture
+    # relative standard deviation of the focal length: below, the image motion shows it; set by hand
+    max_focal_spread: float = 0.1
     # px of the shrunk frames: motion of points at infinity that shows fixed texture
     min_infinity_motion: float = 2.0
 
@@ -67,6 +69,11 @@ class PairEvidence:
         Residual of the free motion over that of a free motion with zoom.
     parallax : float
         Median image motion beyond that of the rotation, as a share of the longer side.
+    focal_spread : float
+        Relative standard deviation of the focal length that the image motion of the pair shows.
+    focal_depth, focal_direction, focal_rotation : float
+        Largest changes by another focal length that the image motion allows: of depth, relative; of
+        the direction of motion and of the rotation, degrees.
 
     Examples
     --------
@@ -90,6 +97,10 @@ class PairEvidence:
     zoom_deviation: float
     zoom_gain: float
     parallax: float
+    focal_spread: float
+    focal_depth: float
+    focal_direction: float
+    focal_rotation: float
 
     @classmethod
     def from_json(cls, record: dict[str, Any]) -> "PairEvidence":
@@ -187,6 +198,12 @@ class PathCheck:
         deviations = np.array([pair.zoom_deviation for pair in self.pairs]) / np.abs(steps)
         weights = 1 / deviations**2
         return float(np.median(zooms)), float((zooms * weights).sum() / np.sqrt(weights.sum()))
+
+    @property
+    def focal_spread(self) -> float:
+        """Relative standard deviation of the focal length that the pairs show together."""
+        spreads = np.array([pair.focal_spread for pair in self.pairs])
+        return float(1 / np.sqrt((1 / spreads**2).sum())) if self.pairs else float("nan")
 
     @property
     def objections(self) -> tuple[str, ...]:
