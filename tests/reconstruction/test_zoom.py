@@ -11,7 +11,7 @@ import tisfm
 from tisfm.grade import Grade, GradeSummary
 from tisfm.metrics import absolute_errors
 from tisfm.reconstruction import pipeline
-from tisfm.reconstruction.calibration.bundle_residuals import BundleState, linearise
+from tisfm.reconstruction.calibration.bundle_residuals import COMMON, BundleState, linearise
 from tisfm.reconstruction.calibration.camera_adjustment import adjust_camera, measure_cost
 from tisfm.reconstruction.calibration.normal_equations import reduce_equations
 from tisfm.reconstruction.calibration.source_camera import add_radial
@@ -20,6 +20,11 @@ from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import FocalEstimate, Piece
 from tisfm.reconstruction.path import camera_revision, path_bundle
 from tisfm.reconstruction.path.camera_path import CameraPath
+from tisfm.reconstruction.path.hidden_zoom import (
+    CameraComparison,
+    find_hidden_zoom,
+    object_to_hidden_zoom,
+)
 from tisfm.reconstruction.path.path_bundle import choose_largest_piece
 from tisfm.reconstruction.path.path_solver import PathSolver
 from tisfm.reconstruction.path.settings import REVISION
@@ -203,7 +208,30 @@ def test_zoom_is_kept_if_it_converges_in_one_piece(monkeypatch, changes, pieces,
 def test_constant_focal_length_needs_no_richer_camera(monkeypatch, zoom, lens, needed):
     monkeypatch.setattr(camera_revision, "make_bundle", lambda *_: bundle(zoom, lens))
     path = path_of(piece_of(range(8)))
-    assert camera_revision.needs_richer_camera(path, (), SHAPE, REVISION.max_cost) == needed
+    (window,) = camera_revision.compare_cameras(path, (), SHAPE)
+    assert (window.rich.cost < REVISION.max_cost * window.base.cost) == needed
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.02])
+def test_zoom_along_a_forward_motion_is_an_objection(rate):
+    frames = range(12)
+    random = np.random.default_rng(0)
+    points = np.column_stack([random.uniform(-4, 4, 200), random.uniform(-2, 2, 200),
+                              random.uniform(8, 40, 200)])  # fmt: skip
+    poses = np.array([np.c_[np.eye(3), (0, 0, -0.4 * k)] for k in frames])
+    views, indices = (grid.ravel() for grid in np.mgrid[: len(poses), : len(points)])
+    local = points[indices] + poses[views, :, 3]
+    positions = FOCAL * np.exp(rate * views)[:, None] * local[:, :2] / local[:, 2:]
+    drive = TrackBundle(
+        frames=tuple(frames), tracks=np.arange(200), poses=poses, points=points, views=views,
+        indices=indices, positions=positions + random.normal(0, 0.05, positions.shape),
+    )  # fmt: skip
+    base = adjust_camera(drive, FOCAL)
+    rich = adjust_camera(base.bundle, FOCAL, COMMON, has_zoom=True, scales=(0.5,))
+    comparison = CameraComparison(base=base, rich=rich)
+    found = find_hidden_zoom([comparison], ())
+    assert np.sign(found) == np.sign(rate)
+    assert bool(object_to_hidden_zoom(found)) == bool(rate)
 
 
 @pytest.mark.parametrize(

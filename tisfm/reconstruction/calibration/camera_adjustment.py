@@ -55,6 +55,9 @@ def adjust_camera(
     *,
     radial: float = 0.0,  # start value of k1
     has_zoom: bool = False,  # whether each frame has a focal length of its own
+    # (F,): logarithm of the zoom of each frame: start values, or fixed without `has_zoom`; by
+    # default 0
+    zoom: np.ndarray | None = None,
     # (F,): zoom that was removed from the tracks before; the prior holds for the sum
     removed_zoom: np.ndarray | None = None,
     # px: residuals beyond these have a decreasing weight; adjustments follow one another
@@ -80,7 +83,7 @@ def adjust_camera(
         poses=bundle.poses,
         points=bundle.points,
         common=np.array([np.log(focal), radial, 0.0, 0.0, 0.0]),
-        zoom=np.zeros(count),
+        zoom=np.zeros(count) if zoom is None else zoom,
         removed_zoom=np.zeros(count) if removed_zoom is None else removed_zoom,
     )
     for scale in scales:

@@ -18,6 +18,11 @@ from tisfm.reconstruction.frames.disk_cache import DiskCache
 from tisfm.reconstruction.mapping.models import ViewGraph
 from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.path.camera_path import CameraPath
+from tisfm.reconstruction.path.hidden_zoom import (
+    CameraComparison,
+    find_hidden_zoom,
+    object_to_hidden_zoom,
+)
 from tisfm.reconstruction.path.lens_revision import revise_lens
 from tisfm.reconstruction.path.path_bundle import (
     adjust_largest_piece,
@@ -52,12 +57,18 @@ def revise_path(
     free = () if solver.calibrate == "nothing" else ("focal",)
     fits_badly = _fits_badly(path, solver.tracks)
     max_cost = REVISION.max_cost_of_poor_path if fits_badly else REVISION.max_cost
-    if not needs_richer_camera(path, free, solver.tracks.shape, max_cost):
-        return path
-    zoomed = _solve_zoom(path, solver, instants, free)
-    if zoomed is not None and _shows_zoom(path, zoomed, solver):
-        return zoomed.path
-    return revise_lens(path, solver, instants) if may_distort else path
+    windows = compare_cameras(path, free, solver.tracks.shape)
+    revised = path
+    if any(window.rich.cost < max_cost * window.base.cost for window in windows):
+        zoomed = _solve_zoom(path, solver, instants, free)
+        if zoomed is not None and _shows_zoom(path, zoomed, solver):
+            return zoomed.path
+        if may_distort:
+            revised = revise_lens(path, solver, instants)
+    if revised.objection or not revised.camera.is_pinhole:
+        return revised
+    objection = object_to_hidden_zoom(find_hidden_zoom(windows, free))
+    return replace(revised, objection=objection)
 
 
 def _fits_badly(path: CameraPath, tracks: SequenceTracks) -> bool:
@@ -66,14 +77,14 @@ def _fits_badly(path: CameraPath, tracks: SequenceTracks) -> bool:
     return path.score < MAPPING.min_mean_score * count
 
 
-def needs_richer_camera(
+def compare_cameras(
     path: CameraPath,
     free: Sequence[str],  # unknowns of the camera that the path was solved with
     shape: tuple[int, int],  # height and width of the frames, px
-    max_cost: float,  # robust cost with a richer camera over that with one
-) -> bool:
-    """Return whether a richer camera explains the tracks of the largest piece clearly better."""
+) -> list[CameraComparison]:
+    """Return, for windows of the views of the largest piece, how a richer camera fits them."""
     views = list(choose_largest_piece(path).views)
+    windows = []
     for begin in range(0, len(views), REVISION.window_views):
         window = views[begin : begin + REVISION.window_views]
         if len(window) < REVISION.min_views:
@@ -87,9 +98,8 @@ def needs_richer_camera(
             base.bundle, base.focal, COMMON, has_zoom=True, scales=(MAPPING.outlier_pixels,),
             steps=REVISION.rich_steps,
         )  # fmt: skip
-        if rich.cost < max_cost * base.cost:
-            return True
-    return False
+        windows.append(CameraComparison(base=base, rich=rich))
+    return windows
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
