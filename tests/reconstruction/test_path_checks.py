@@ -175,7 +175,7 @@ def test_a_sequence_that_depends_on_its_stated_focal_length_says_so():
         ({"zoom": 0.01}, ("zoom",), True),
         ({"zoom": -0.01}, ("zoom",), True),
         ({"zoom": 0.01, "zoom_deviation": 0.0015}, ("zoom",), True),
-        ({"zoom": 0.01, "zoom_deviation": 0.002}, (), False),
+        ({"zoom": 0.01, "zoom_deviation": 0.003}, (), False),
         ({"zoom": 0.002, "zoom_deviation": 1e-4}, (), False),
         ({"fixed_share": 0.03}, ("fixed",), True),
         ({"fixed_share": 0.03, "infinity_motion": 1.0}, (), False),
@@ -185,6 +185,12 @@ def test_evidence_beyond_its_limit_is_an_objection(changes, objections, contradi
     check = check_of(**changes)
     assert check.objections == objections
     assert check.contradicts == contradicts == bool(check.message)
+
+
+def test_pairs_that_contradict_each_other_show_no_zoom():
+    pairs = [replace(GOOD, zoom=z, zoom_deviation=0.005) for z in (0.06, 0.0, 0.07)]
+    check = replace(check_of(), pairs=tuple(pairs))
+    assert check.zoom[0] == 0.06 and check.objections == ()
 
 
 def test_message_says_whether_the_picture_grows_or_shrinks():
