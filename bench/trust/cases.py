@@ -134,6 +134,9 @@ FOCALS_OF_WORLDS = {
     "yard 3": ["focal unknown", "focal ×0.6"],
     "street 0": ["focal unknown", "focal ×0.6", "focal ×1.6"],
     "table 0": ["focal unknown"],
+    "wobbling floor": ["focal ×0.6", "focal ×1.6"],
+    "poster 0": ["focal ×1.6"],
+    "tilted floor": ["focal ×0.6"],
 }
 CLIPS = (
     Clip(folder="tartanair"),

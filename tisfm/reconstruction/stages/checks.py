@@ -84,7 +84,7 @@ def add_focal_note(calibration: Calibration, checks: Sequence[PathCheck]) -> Cal
     if calibration.origin != "given" or not pairs:
         return calibration
     spread = min(check.focal_spread for check in checks if check.pairs)
-    changes = np.median(
+    changes = np.max(
         [[pair.focal_depth, pair.focal_direction, pair.focal_rotation] for pair in pairs], axis=0
     )
     depth, direction, rotation = (float(change) for change in changes)
