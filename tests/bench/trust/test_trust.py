@@ -10,6 +10,7 @@ from bench.trust import cases, film_store, films, judge, report
 from bench.trust.worlds import smooth_path
 from tisfm.grade import grade_depth
 from tisfm.metrics import path_length
+from tisfm.reconstruction.result.calibration import GIVEN
 from tisfm.rigid import pose_matrix
 from tisfm.status import Status
 
@@ -28,6 +29,7 @@ def result_of(poses, depth, code="converged", error=0.02):
             "piece": np.where(np.isfinite(poses[:, 0, 0]), 0, -1),
             "status": (Status(code),) * count,
             "checks": (),
+            "calibration": GIVEN,
             "grade": lambda self, k: grade_depth(Status(code), error),
             "grades": property(lambda self: [self.grade(k) for k in range(count)]),
             "depth_error": np.full(count, error if np.isfinite(depth).any() else np.nan),
