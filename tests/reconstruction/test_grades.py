@@ -12,7 +12,7 @@ from tisfm.cli.batch import _median_grade
 from tisfm.formats import FormatError
 from tisfm.grade import GRADES, Grade, summarise_grades
 from tisfm.reconstruction.result.calibration import Calibration
-from tisfm.reconstruction.result.folder import RECORD
+from tisfm.reconstruction.result.folder import RECORD, write_mask
 from tisfm.reconstruction.result.statuses import add_piece_note, mark_uncertain
 from tisfm.report.reconstruction_report import _report
 from tisfm.results.sequence_frames import SequenceFrames
@@ -43,6 +43,17 @@ def test_grades_of_frames(tmp_path):
     np.testing.assert_array_equal(again.depth_share, graded.depth_share)
     assert json.loads((tmp_path / "saved" / RECORD).read_text())["grade"] == words
     assert again.rescaled(0, 1, 3.0).grades == again.grades
+
+
+def test_saved_copy_keeps_the_mask_of_fixed_pixels(tmp_path):
+    result = made(tmp_path / "made", count=2)
+    result.save(tmp_path / "plain")
+    assert tisfm.Reconstruction.load(tmp_path / "plain").mask is None
+    mask = np.zeros(result.shape, bool)
+    mask[-3:] = True
+    write_mask(result.folder, mask)
+    result.save(tmp_path / "copy")
+    np.testing.assert_array_equal(tisfm.Reconstruction.load(tmp_path / "copy").mask, mask)
 
 
 @pytest.mark.parametrize("values", [[0.1], [0.1, 2.0], [0.1, -1.0], [0.1, "x"]])

@@ -10,7 +10,15 @@ from tests.reconstruction.films import path_error
 from tisfm.exports import SequenceFrames
 from tisfm.grade import Grade
 from tisfm.reconstruction.result.path_check import PathCheck
-from tisfm.reconstruction.result.statuses import add_mask_notes
+from tisfm.reconstruction.result.statuses import (
+    NEW_PIECE_NOTE,
+    ONLY_TURNS,
+    add_mask_notes,
+    add_piece_note,
+    find_cause,
+    mark_contradicted,
+    mark_uncertain,
+)
 from tisfm.reconstruction.stages.moving_pixels import may_show_objects
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import Box, Plane, Scene, Texture
@@ -106,8 +114,23 @@ def test_one_piece_of_another_cause_shows_no_objects():
 
 
 def test_status_says_how_much_of_a_frame_is_masked():
-    statuses = [Status("converged"), Status("converged", "a note"), Status("little_parallax", "x")]
-    noted = add_mask_notes(statuses, np.array([0.0, 0.25, 0.5]))
-    assert noted[0] == statuses[0] and noted[0].message == ""
+    statuses = [
+        Status("converged"), Status("converged", "a note"), Status("little_parallax", "x"),
+        Status("no_pose", "few tracks"), ONLY_TURNS,
+    ]  # fmt: skip
+    noted = add_mask_notes(statuses, [0, 0, 0, -1, 1], np.array([0.0, 0.25, 0.5, 0.5, 0.5]))
+    assert noted[0].message == "" and noted[3].message == "few tracks"
     assert noted[1].message.startswith("25 % of the frame moves on its own and is masked")
-    assert noted[1].message.endswith("; a note") and noted[2].message == "x"
+    assert noted[1].message.endswith("; a note") and noted[2].message.endswith("; x")
+    assert "is masked; the camera only turns" in noted[4].message and noted[4] == "pure_rotation"
+
+
+def test_later_marks_keep_the_note_on_masked_pixels():
+    (noted,) = add_mask_notes([add_piece_note(Status("converged"))], [0], np.array([0.3]))
+    (rough,) = mark_uncertain([noted], np.array([0.4]))
+    (wrong,) = mark_contradicted([rough], [0], [contradicted_by("residual", "behind")], {0: "fog"})
+    for status, code in ((rough, "uncertain"), (wrong, "contradicted")):
+        assert status == code and status.message.count("is masked") == 1
+        assert status.message.startswith("30 % of the frame moves on its own and is masked: choose")
+        assert status.message.endswith(NEW_PIECE_NOTE)
+    assert find_cause(wrong) == "fog"

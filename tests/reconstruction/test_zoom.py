@@ -29,8 +29,8 @@ from tisfm.reconstruction.path.path_bundle import choose_largest_piece
 from tisfm.reconstruction.path.path_solver import PathSolver
 from tisfm.reconstruction.path.settings import REVISION
 from tisfm.reconstruction.result.calibration import Calibration
-from tisfm.reconstruction.result.path_check import PathCheck
-from tisfm.reconstruction.result.statuses import mark_contradicted
+from tisfm.reconstruction.result.path_check import UNCHECKED, PathCheck
+from tisfm.reconstruction.result.statuses import ONLY_TURNS, mark_contradicted
 from tisfm.reconstruction.result.summary import summarise
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracks
 from tisfm.resampling import ZoomRemoval
@@ -443,6 +443,13 @@ def test_objection_to_the_camera_contradicts_all_frames_with_a_pose():
     assert list(map(str, marked)) == ["contradicted", "no_pose", "contradicted"]
     assert marked[0].message == "another focal length fits"
     assert mark_contradicted(statuses, [0, -1, 0], [check]) == tuple(statuses)
+
+
+def test_objection_to_the_camera_leaves_a_turning_piece_without_positions():
+    statuses = [Status("converged"), ONLY_TURNS]
+    walk, pan = mark_contradicted(statuses, [0, 1], [UNCHECKED] * 2, objection="a zoom fits")
+    assert walk == "contradicted" and pan == "pure_rotation"
+    assert pan.message == f"{ONLY_TURNS.message}; a zoom fits"
 
 
 def test_coefficient_of_a_stated_focal_length_is_said():

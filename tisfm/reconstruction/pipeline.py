@@ -31,7 +31,8 @@ def reconstruct_sequence(job: Job) -> Reconstruction:
         path_result = masked.result
         calibration = find_calibration(job, reading, path_result)
         depth = find_depth(job, reading, path_result.path, calibration.relative_focal_std)
-        depth = replace(depth, status=add_mask_notes(depth.status, masked.moving_shares))
+        statuses = add_mask_notes(depth.status, depth.piece.tolist(), masked.moving_shares)
+        depth = replace(depth, status=statuses)
         checks = check_pieces(job, reading.frames, path_result.path, depth)
     calibration = add_focal_note(calibration, checks)
     if job.revises_camera:

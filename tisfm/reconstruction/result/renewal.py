@@ -24,6 +24,7 @@ from tisfm.reconstruction.result.folder import (
     CACHE,
     CAMERA,
     DEPTH,
+    FIXED_MASK,
     MARKER,
     MASKS,
     OPTIONAL_FILES,
@@ -91,8 +92,9 @@ def copy_folder(result: Any, target: str | os.PathLike[str]) -> None:
             make_subfolder(path / name)
             for file in sorted((source / name).iterdir()):
                 copy_file(file, path / name / file.name)
-        if (source / CAMERA).exists():  # the user may have deleted it
-            copy_file(source / CAMERA, path / CAMERA)
+        for name in (CAMERA, FIXED_MASK):
+            if (source / name).exists():  # the user may have deleted it
+                copy_file(source / name, path / name)
         write_record(path, result)
 
 

@@ -25,9 +25,8 @@ ROUGH_DEPTH = (
     "the depth of the frame is expected to be off by {error}: its deviations are large, or the "
     "focal length is uncertain; give frames with more motion between them, or the focal length"
 )
-MOVING_NOTE = (
-    '{share} of the frame moves on its own and is masked: choose motion="objects" for its depth'
-)
+_MOVING_TEXT = " of the frame moves on its own and is masked"
+_MOVING_ADVICE = ': choose motion="objects" for its depth'
 
 
 def add_piece_note(status: Status) -> Status:
@@ -58,13 +57,18 @@ def find_cause(status: Status) -> str:
 
 def add_mask_notes(
     statuses: Sequence[Status],
+    pieces: Sequence[int],  # piece of each frame, −1 for none
     moving_shares: np.ndarray,  # (N,): share of the pixels of each frame that move and are masked
 ) -> tuple[Status, ...]:
-    """Return the statuses of frames, with a note on the pixels that move and are masked."""
+    """Return the statuses of frames; those with a pose say how much moves and is masked.
+
+    `mark_contradicted` and `mark_uncertain` keep the note.
+    """
     noted = []
-    for status, share in zip(statuses, moving_shares.tolist(), strict=True):
-        if status == "converged" and share > 0:
-            note = MOVING_NOTE.format(share=percent(share))
+    for status, piece, share in zip(statuses, pieces, moving_shares.tolist(), strict=True):
+        if piece >= 0 and share > 0:
+            note = percent(share) + _MOVING_TEXT
+            note += "" if status == ONLY_TURNS else _MOVING_ADVICE
             status = Status(str(status), "; ".join(filter(None, [note, status.message])))
         noted.append(status)
     return tuple(noted)
@@ -78,13 +82,19 @@ def mark_contradicted(
     causes: Mapping[int, str] = MappingProxyType({}),
     objection: str = "",  # what contradicts the camera of all pieces; "" if nothing does
 ) -> tuple[Status, ...]:
-    """Return the statuses of frames: all frames of a contradicted piece are contradicted."""
+    """Return the statuses of frames: all frames of a contradicted piece are contradicted.
+
+    Where the camera only turns, there is no depth to contradict: an objection to the camera is
+    added to the message, and the status stays.
+    """
     marked = []
     for status, piece in zip(statuses, pieces, strict=True):
-        if piece >= 0 and (objection or checks[piece].contradicts):
-            is_new_piece = NEW_PIECE_NOTE in status.message
-            status = contradict(objection or checks[piece].message, causes.get(piece, ""))
-            status = add_piece_note(status) if is_new_piece else status
+        if piece >= 0 and status == ONLY_TURNS:
+            if objection:
+                status = Status(str(status), f"{status.message}; {objection}")
+        elif piece >= 0 and (objection or checks[piece].contradicts):
+            reason = objection or checks[piece].message
+            status = _keep_notes(contradict(reason, causes.get(piece, "")), status)
         marked.append(status)
     return tuple(marked)
 
@@ -97,8 +107,16 @@ def mark_uncertain(
     marked = []
     for status, error in zip(statuses, errors.tolist(), strict=True):
         if status == "converged" and error > GRADES.max_fair:
-            is_new_piece = NEW_PIECE_NOTE in status.message
-            status = Status("uncertain", ROUGH_DEPTH.format(error=percent(error)))
-            status = add_piece_note(status) if is_new_piece else status
+            rough = Status("uncertain", ROUGH_DEPTH.format(error=percent(error)))
+            status = _keep_notes(rough, status)
         marked.append(status)
     return tuple(marked)
+
+
+def _keep_notes(status: Status, earlier: Status) -> Status:
+    """Return a status with the notes of an earlier one: on masked pixels, and on a new piece."""
+    before, text, after = earlier.message.partition(_MOVING_TEXT)
+    if text:
+        advice = _MOVING_ADVICE if after.startswith(_MOVING_ADVICE) else ""
+        status = Status(str(status), f"{before}{text}{advice}; {status.message}")
+    return add_piece_note(status) if NEW_PIECE_NOTE in earlier.message else status
