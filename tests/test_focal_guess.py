@@ -209,3 +209,20 @@ def test_a_pair_that_turns_and_moves_forward_shows_its_focal_length(focal):
     assert result.camera.focal == pytest.approx(focal, rel=0.1)  # the guess is 192 px
     assert "The image motion gave the focal length" in result.status.message
     assert result.focal_deviation == np.inf and result.focal_spread < 0.1 and result.grade.is_green
+
+
+def test_pairs_of_a_sequence_do_not_take_a_guess_as_stated():
+    settings = tisfm.Settings.preset("fast", motion="camera")
+    path = [np.eye(4)]
+    for _ in range(2):
+        path.append(path[-1] @ pose_matrix([0.06, 0.02, 0.1, 0.024, -0.08, 0.016]))
+    film = room_film(path, 120, 160, focal=96.0, textured=True)
+    with pytest.warns(GuessedFocalWarning):
+        results = list(tisfm.interpret_sequence(list(film.frames), settings=settings))
+    assert results[0].camera.focal == pytest.approx(96, rel=0.1)  # kept for the second pair
+    assert results[1].camera == results[0].camera
+    plain = room_film(path[:1] * 2, 24, 32).frames  # the guess stays
+    with pytest.warns(GuessedFocalWarning):
+        still = list(tisfm.interpret_sequence(list(plain), settings=settings))
+    for result in (*results, *still):
+        assert np.isinf(result.focal_deviation) and "stated focal" not in result.status.message

@@ -64,13 +64,13 @@ class Interpretation:
         Version of tisfm that computed it.
     focal_deviation : float
         Relative standard deviation of the focal length: 0 if it was given, infinite for a guess.
-        `depth_error` and `grade` depend on it.
+        `depth_error` and `grade` depend on it, and for a guess on the next two.
     focal_effect : float
         Relative change of depth over a relative change of the focal length, up to scale; NaN where
         unknown.
     focal_spread : float
         Relative standard deviation of the focal length that the image motion of this pair alone
-        shows, at most that of a guess; NaN where unknown.
+        shows, with the distance from the focal length that fits it best; NaN where unknown.
 
     Examples
     --------

@@ -15,7 +15,7 @@ from tisfm.frames import check_frame
 from tisfm.interpretation import Interpretation
 from tisfm.prepared_pair import ignored_pixels, prepare_pair
 from tisfm.rigid import check_pose
-from tisfm.settings import FixedPixels, Settings, check_fixed_pixels, check_settings
+from tisfm.settings import FixedPixels, FocalOrigin, Settings, check_fixed_pixels, check_settings
 from tisfm.status import History, Status
 from tisfm.version import __version__
 from tisfm.visibility.confidence import confidence
@@ -158,15 +158,19 @@ def interpret_pair(
     scales_unit_range: bool = True,
     window: Window | None = None,
     fixed_pixels: FixedPixels = "mask",
+    focal_origin: FocalOrigin | None = None,
 ) -> Interpretation:
     """Interpret a pair of a sequence, as `interpret` does.
 
     `ignored`, (H, W) bool, marks the pixels of each frame that are not used; None to use all.
     `scales_unit_range` says whether float frames in [0, 1] are brought to the 8-bit scale
     (`tisfm.frames.grey_pair`). `window`, for motion ``"field"``, holds the previous pair; this pair
-    then replaces it there.
+    then replaces it there. `focal_origin` says where the focal length of `camera` comes from; by
+    default it is stated, or guessed without a camera.
     """
     settings = check_settings(settings)
+    if focal_origin is None:
+        focal_origin = "guessed" if camera is None else "stated"
     known_pose = check_pose(pose)
     if known_pose is not None and settings.motion != "camera":
         raise InputError(
@@ -202,7 +206,11 @@ def interpret_pair(
         is_plain = given_camera.is_pinhole and not given_camera.readout
         finds_fixed_pixels = fixed_pixels == "mask" and is_plain
         estimate = camera_estimate(
-            pyramid, settings, known_pose, finds_fixed_pixels=finds_fixed_pixels
+            pyramid,
+            settings,
+            known_pose,
+            finds_fixed_pixels=finds_fixed_pixels,
+            finds_focal=camera is None,
         )
         if estimate.fixed_pixels is not None:
             fixed = resize_mask(estimate.fixed_pixels, pyramid.shape)
@@ -215,6 +223,7 @@ def interpret_pair(
                 ignored=_with_ignored(ignored, fixed),
                 scales_unit_range=scales_unit_range,
                 fixed_pixels="keep",
+                focal_origin=focal_origin,
             )
             return replace(result, status=with_fixed_note(result.status, fixed))
         evidence = estimate.focal_evidence
@@ -229,6 +238,7 @@ def interpret_pair(
                 ignored=ignored,
                 scales_unit_range=scales_unit_range,
                 fixed_pixels=fixed_pixels,
+                focal_origin="estimated",
             )
             return replace(
                 result,
@@ -284,7 +294,7 @@ def interpret_pair(
     status = with_brightness_advice(status, pyramid, settings)
     status = with_light_note(status, estimate.light)
     if (evidence := estimate.focal_evidence) is not None:
-        status = evidence.add_note(status, is_guess=camera is None)
+        status = evidence.add_note(status, focal_origin)
     if window is not None:
         _store_pair(window, pyramid, flow, occluded, status)
         if window.previous is None and previous is not None and previous.is_used:

@@ -14,10 +14,11 @@ from tisfm.camera import Camera, check_camera
 from tisfm.errors import InputError
 from tisfm.focal_guess import guess_camera
 from tisfm.interpretation import Interpretation
+from tisfm.motion.camera_settings import INTRINSICS
 from tisfm.running.pair_chunks import check_sharable, interpret_with_workers, refuse_float_frames
 from tisfm.running.pairs import FrameSelection, PairSource, attach_poses
 from tisfm.running.pool import check_workers
-from tisfm.settings import FixedPixels, Settings, check_fixed_pixels, check_settings
+from tisfm.settings import FixedPixels, FocalOrigin, Settings, check_fixed_pixels, check_settings
 from tisfm.sources import BadFrames, FramePair, FrameSource, Source
 from tisfm.sources.frame_reader import warn_notes
 from tisfm.sources.masks import Mask
@@ -178,17 +179,23 @@ def _interpret_pairs(
     fixed_pixels: FixedPixels,
 ) -> Iterator[Interpretation]:
     warned_count, is_first = 0, True
-    focal_deviation = _focal_deviation(camera, settings)
+    origin = _focal_origin(camera, settings)
     with closing(pairs):
         for pair in pairs:
             warned_count = _warn_of_skipped(source, warned_count)
             if is_first:
                 camera = _camera_of_prepared_frames(source, pair, camera, settings)
             result = pair.interpret(
-                camera=camera, settings=settings, window=window, fixed_pixels=fixed_pixels
+                camera=camera,
+                settings=settings,
+                window=window,
+                fixed_pixels=fixed_pixels,
+                focal_origin=origin,
             )
-            result = replace(result, focal_deviation=focal_deviation)
-            camera, is_first = camera or result.camera, False  # the guess of the first pair is kept
+            result = _with_origin(result, origin)
+            if is_first and camera is None:  # the camera of the first pair is kept
+                camera, origin = result.camera, _origin_after(result, origin)
+            is_first = False
             del pair  # frees its first frame before the next frame is read
             yield result
             del result  # its frame may be the array of the source
@@ -200,41 +207,65 @@ def _interpret_in_workers(
 ) -> Iterator[Interpretation]:
     """Interpret the first pair in this process, to find the camera, and the others in workers."""
     frames, pairs = source.open()
-    focal_deviation = _focal_deviation(camera, source.settings)
+    origin = _focal_origin(camera, source.settings)
     with closing(pairs):
         first_pair = next(pairs)
         refuse_float_frames(first_pair)
         warned_count = _warn_of_skipped(frames, 0)
         camera = _camera_of_prepared_frames(frames, first_pair, camera, source.settings)
         result = first_pair.interpret(
-            camera=camera, settings=source.settings, fixed_pixels=fixed_pixels
+            camera=camera,
+            settings=source.settings,
+            fixed_pixels=fixed_pixels,
+            focal_origin=origin,
         )
-        camera, number = camera or result.camera, source.number(first_pair) + 1
+        number = source.number(first_pair) + 1
+        if camera is None:
+            camera, origin = result.camera, _origin_after(result, origin)
         del first_pair
-        yield replace(result, focal_deviation=focal_deviation)
+        yield _with_origin(result, origin)
         del result
         if number >= len(frames):  # a video may have more frames than its header says
             for pair in pairs:
                 result = pair.interpret(
-                    camera=camera, settings=source.settings, fixed_pixels=fixed_pixels
+                    camera=camera,
+                    settings=source.settings,
+                    fixed_pixels=fixed_pixels,
+                    focal_origin=origin,
                 )
-                yield replace(result, focal_deviation=focal_deviation)
+                yield _with_origin(result, origin)
             _warn_of_skipped(frames, warned_count)
             return
     warned_reasons = {reason for _, reason in frames.skipped[:warned_count]}
     outcomes = interpret_with_workers(
-        source, camera=camera, workers=workers, first=number, fixed_pixels=fixed_pixels
+        source,
+        camera=camera,
+        workers=workers,
+        first=number,
+        fixed_pixels=fixed_pixels,
+        focal_origin=origin,
     )
     for outcome in outcomes:
         if isinstance(outcome, Interpretation):
-            yield replace(outcome, focal_deviation=focal_deviation)
+            yield _with_origin(outcome, origin)
         elif outcome not in warned_reasons:
             warnings.warn(f"{outcome}; the frame is skipped", stacklevel=2)
 
 
-def _focal_deviation(camera: Camera | None, settings: Settings) -> float:
-    """Return the relative standard deviation of the focal length; infinite for a guess."""
-    return math.inf if camera is None and settings.motion != "field" else 0.0
+def _focal_origin(camera: Camera | None, settings: Settings) -> FocalOrigin:
+    """Return where the focal length of the pairs comes from."""
+    return "guessed" if camera is None and settings.motion != "field" else "stated"
+
+
+def _origin_after(first: Interpretation, origin: FocalOrigin) -> FocalOrigin:
+    """Return where the focal length of later pairs comes from: perhaps from the first pair."""
+    is_shown = origin == "guessed" and first.focal_spread < INTRINSICS.max_focal_deviation
+    return "estimated" if is_shown else origin
+
+
+def _with_origin(result: Interpretation, origin: FocalOrigin) -> Interpretation:
+    """Return a result that says whether its focal length was stated."""
+    return replace(result, focal_deviation=0.0 if origin == "stated" else math.inf)
 
 
 def _warn_of_skipped(source: FrameSource, warned_count: int) -> int:

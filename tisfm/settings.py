@@ -14,6 +14,8 @@ Derivatives = Literal["cube", "five_tap"]
 Solver = Literal["cholesky", "closed_form"]
 Preset = Literal["paper", "fast", "balanced", "accurate"]
 FixedPixels = Literal["mask", "keep"]
+# where the focal length of a pair comes from: the user, a guess, or the image motion of a pair
+FocalOrigin = Literal["stated", "guessed", "estimated"]
 """Whether pixels that are fixed on the sensor, such as a logo, are masked."""
 
 PAPER_SMOOTHNESS = 1e8 / 600**2  # the paper's λ = 1e8 at its f = 600, as λ̂ = λ/f²

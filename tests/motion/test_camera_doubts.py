@@ -7,6 +7,14 @@ import tisfm
 from tests.rendered import static_scene
 from tisfm.metrics import depth_errors
 from tisfm.motion.camera_doubts import examine_camera, find_misfit_doubt, measure_misfit
+from tisfm.motion.camera_fit import (
+    PARAMETERS,
+    Cameras,
+    change_cameras,
+    find_derivatives,
+    find_points,
+    undistort_points,
+)
 from tisfm.motion.epipolar_fit import FreeUnknowns, Rays, refine_pose, rotation_alone
 from tisfm.motion.homographies import TWO_MOTIONS, resolve_plane
 from tisfm.rigid import rigid_motion
@@ -23,7 +31,7 @@ def rays_of(
     """Return rays of a scene at random depths, seen by a camera that is not as stated.
 
     `focal` is the stated focal length divided by the true one; `shift`, px, moves a third of the
-    image off its epipolar lines. With `slopes`, the scene is a plane, 4 Z (1 + slopes · x) = 16.
+    image off its epipolar lines. With `slopes`, the scene is a plane, Z (1 + slopes · x) = 4.
     """
     rng = np.random.default_rng(0)
     x, y = (
@@ -113,19 +121,20 @@ def test_a_drive_straight_ahead_needs_no_focal_length(focal):
     assert doubt is None and evidence.value_deviation > 0.15
     assert evidence.depth_effect < 0.1
     status = Status("converged", "as it should")
-    assert evidence.add_note(status, is_guess=False) is status
+    assert evidence.add_note(status, "stated") is status
 
 
 def test_a_plane_depends_on_the_focal_length():
     twist = (-0.3, 0.1, -0.5, 0.03, -0.05, 0.02)
     evidence = evidence_of(*rays_of(twist, slopes=(0.5, -0.3)))
-    note = evidence.add_note(Status("converged", "as it should"), is_guess=False)
+    note = evidence.add_note(Status("converged", "as it should"), "stated")
     assert note == "converged" and note.message.startswith("as it should. The result depends on")
     assert "the stated focal length" in note.message and "direction of motion" in note.message
-    guessed = evidence.add_note(Status("converged", "as it should"), is_guess=True)
+    guessed = evidence.add_note(Status("converged", "as it should"), "guessed")
     assert guessed == "uncertain" and "the guessed focal length" in guessed.message
+    assert guessed.message.startswith("as it should. ")  # other notes stay
     refused = Status("unexplained", "as it is")
-    assert evidence.add_note(refused, is_guess=True) is refused
+    assert evidence.add_note(refused, "guessed") is refused
 
 
 def test_the_motion_whose_plane_lies_in_front_is_chosen():
@@ -158,3 +167,45 @@ def test_regions_off_their_lines():
     doubt = find_misfit_doubt(rays, pose)
     assert doubt == "uncertain" and "regions of the image" in doubt.message
     assert measure_misfit(rays, pose) > 10 * measure_misfit(*rays_of(SIDEWAYS))
+
+
+@pytest.mark.parametrize("count", [3, 8, 40])
+@pytest.mark.parametrize("kind", ["line", "center", "untrusted"])
+def test_rays_that_show_no_homography_are_no_error(kind, count):
+    rng = np.random.default_rng(0)
+    x = rng.uniform(-0.5, 0.5, count) * (kind != "center")
+    y = rng.uniform(-0.5, 0.5, count) * (kind == "untrusted")
+    rays = Rays(
+        rays0=np.stack([x, y, np.ones(count)]),
+        rays1=np.stack([x + 0.01, y]),
+        trust=np.full(count, float(kind != "untrusted")),
+        focal=FOCAL,
+    )
+    pose = np.eye(3), np.array([1.0, 0, 0])
+    chosen, _ = resolve_plane(rays, pose, 0.1)
+    assert np.isfinite(chosen[1]).all()
+    if kind != "untrusted":
+        examine_camera(rays, pose, np.eye(3))
+
+
+@pytest.mark.parametrize(("k1", "radius"), [(0.6, 1.0), (0.15, 0.8), (-0.1, 1.0), (-0.3, 0.9)])
+def test_a_distortion_is_undone(k1, radius):
+    distorted = radius * (1 + k1 * radius**2)
+    (factor,) = undistort_points(np.array([distorted**2]), np.array([k1]))
+    assert factor * distorted == pytest.approx(radius, rel=1e-3)
+
+
+@pytest.mark.parametrize("parameter", PARAMETERS)
+def test_derivatives_by_the_camera(parameter):
+    rays, pose = rays_of(SIDEWAYS, noise=0.2)
+    step = 1e-5
+    around = [Cameras.of(parameter, [value], [pose]) for value in (-step, step)]
+    before, after = (find_points(rays, cameras).distance[0] for cameras in around)
+    stated = Cameras.of(parameter, [0.0], [pose])
+    expected = -(after - before) / (2 * step)
+    if parameter == "focal":  # the scale of px does not count
+        expected += find_points(rays, stated).distance[0]
+    changed = change_cameras(rays, stated)
+    found = find_derivatives(changed, find_points(rays, stated), stated)[0]
+    correlation = np.corrcoef(found, expected)[0, 1]
+    assert correlation > 0.99 and np.abs(found - expected).mean() < 0.1 * np.abs(expected).mean()

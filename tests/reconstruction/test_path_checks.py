@@ -136,7 +136,8 @@ def test_an_unknown_value_is_refused():
 GOOD = PairEvidence(
     first=0, second=1, excess=0.0, residual_ratio=1.0, direction=1.0, direction_deviation=1.0,
     rotation=0.0, behind=0.0, rank=0.9, zoom=0.0, zoom_deviation=0.001, zoom_gain=1.0,
-    parallax=0.01, focal_spread=0.1, focal_depth=0.02, focal_direction=1.0, focal_rotation=0.5,
+    parallax=0.01, focal_value=0.0, focal_deviation=0.1, focal_depth=0.02, focal_direction=1.0,
+    focal_rotation=0.5,
 )  # fmt: skip
 
 
@@ -147,7 +148,9 @@ def check_of(fixed_share=0.0, infinity_motion=5.0, **changes):
 
 
 def test_a_sequence_that_depends_on_its_stated_focal_length_says_so():
-    check = check_of(focal_spread=0.3, focal_depth=0.02, focal_direction=40.0, focal_rotation=1.0)
+    check = check_of(
+        focal_deviation=0.3, focal_depth=0.02, focal_direction=40.0, focal_rotation=1.0
+    )
     noted = add_focal_note(GIVEN, [check])
     assert noted.origin == "given" and "the result depends on the stated focal" in noted.message
     assert "direction of motion by up to 40°; check" in noted.message
@@ -155,8 +158,13 @@ def test_a_sequence_that_depends_on_its_stated_focal_length_says_so():
     assert add_focal_note(estimated, [check]) is estimated
     shown = replace(check, pairs=check.pairs * 20)  # together, twenty pairs show the focal length
     assert check.focal_spread == pytest.approx(0.3) and shown.focal_spread < 0.1
+    unknown = replace(check, pairs=tuple(replace(p, focal_deviation=0.5) for p in shown.pairs))
+    assert unknown.focal_spread == pytest.approx(0.5)  # twenty pairs that know nothing
+    pair = replace(check.pairs[0], focal_value=0.2, focal_deviation=0.1)
+    off = replace(check, pairs=(pair,) * 20)
+    assert off.focal_spread == pytest.approx(0.2, abs=0.01)  # they agree on another one
     assert add_focal_note(GIVEN, [shown]) is GIVEN
-    assert add_focal_note(GIVEN, [check_of(focal_spread=0.3)]) is GIVEN  # it changes little
+    assert add_focal_note(GIVEN, [check_of(focal_deviation=0.3)]) is GIVEN  # it changes little
     assert add_focal_note(GIVEN, []) is GIVEN
 
 

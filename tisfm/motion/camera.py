@@ -9,6 +9,7 @@ from tisfm.motion.egomotion import sample_rays
 from tisfm.motion.estimate import Estimate, make_depthless_estimate, make_estimate
 from tisfm.motion.first_motion import FirstMotion, first_motion
 from tisfm.motion.fixed_pixels import find_fixed_pixels
+from tisfm.motion.focal_evidence import FocalEvidence
 from tisfm.motion.plane_sweep import PlaneSweep
 from tisfm.motion.rigid_depth import Refinement, RigidSolution, rigid_depth, scaled_translations
 from tisfm.motion.settings import DEPTH
@@ -20,7 +21,7 @@ from tisfm.status import Status
 
 # Statuses of a first motion that say how the camera turned.
 STATUSES_OF_MOTION = ("little_parallax", "pure_rotation")
-NO_DEPTH_YET = Status("uncertain", "pixels that are fixed on the sensor have to be ignored first")
+NO_DEPTH_YET = Status("uncertain", "fixed pixels or another focal length have to be used first")
 
 
 def camera_estimate(
@@ -30,6 +31,8 @@ def camera_estimate(
     *,
     # whether an incomplete estimate is returned if pixels are fixed on the sensor
     finds_fixed_pixels: bool = False,
+    # whether an incomplete estimate is returned if the image motion shows a better focal length
+    finds_focal: bool = False,
 ) -> Estimate:
     """Find one rigid motion and the inverse depth of every pixel directly from the images.
 
@@ -59,7 +62,9 @@ def camera_estimate(
         pyramid, settings, pose=pose, min_pixels=DEPTH.min_first_pixels, use_matches=True
     )
     fixed_pixels = _find_fixed_pixels(pyramid, start, given_frames1) if finds_fixed_pixels else None
-    if fixed_pixels is not None or start.status is not None:
+    evidence = start.focal_evidence
+    replaces_focal = finds_focal and evidence is not None and evidence.replaces_guess
+    if fixed_pixels is not None or start.status is not None or replaces_focal:
         status = start.status or NO_DEPTH_YET
         estimate = first_motion_estimate(pyramid, settings, start, status, level=level)
         return replace(estimate, fixed_pixels=fixed_pixels)
@@ -101,10 +106,12 @@ def camera_estimate(
                 joint_solution = estimate_jointly(level)
                 precise_motions = joint_solution.motions
             else:
-                precise_motions, doubt = _refit_on_finer_flow(pyramid, settings, start, pose)
+                precise_motions, doubt, evidence = _refit_on_finer_flow(
+                    pyramid, settings, start, pose
+                )
                 # the finer flow field decides whether parallax or regions make depth uncertain
                 first_doubt = None if start.doubt == "uncertain" else start.doubt
-                start = replace(start, doubt=first_doubt or doubt)
+                start = replace(start, doubt=first_doubt or doubt, focal_evidence=evidence)
         solution = textureless_depth(pyramid, settings, precise_motions[0])
     flow_residual = 0.0  # the deviation of carried depth includes this residual
     if solution is None:
@@ -170,8 +177,10 @@ def _find_fixed_pixels(
 
 def _refit_on_finer_flow(
     pyramid: ImagePyramid, settings: Settings, start: FirstMotion, pose: KnownPose | None
-) -> tuple[np.ndarray, Status | None]:
+) -> tuple[np.ndarray, Status | None, FocalEvidence | None]:
     """Return the motion of a flow field on the last level, and the doubt about this motion.
+
+    The last part is what this flow field says about the focal length.
 
     The first motion stays if this flow field shows no motion. Depth carried across textureless
     surfaces does not refine the motion, so the motion has to be right.
@@ -191,7 +200,8 @@ def _refit_on_finer_flow(
     if doubt is None and pose is None:
         doubt = _misfit_doubt(pyramid, used)
     labels = np.zeros(pyramid.shape, np.int32)
-    return scaled_translations(used.matrix[None], labels, pyramid.cameras[0]), doubt
+    motions = scaled_translations(used.matrix[None], labels, pyramid.cameras[0])
+    return motions, doubt, used.focal_evidence
 
 
 def first_motion_estimate(
@@ -207,4 +217,9 @@ def first_motion_estimate(
         status=status,
         history=start.history,
     )
-    return replace(estimate, uses_matches=start.uses_matches, light=start.light)
+    return replace(
+        estimate,
+        uses_matches=start.uses_matches,
+        light=start.light,
+        focal_evidence=start.focal_evidence,
+    )

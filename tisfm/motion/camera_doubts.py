@@ -48,9 +48,9 @@ def examine_camera(
     if direction_deviation > INTRINSICS.max_direction_deviation:
         doubt = Status(
             "uncertain",
-            f"the direction of motion is known to ±{direction_deviation:.0f}° only, because the "
-            "image moves little beyond a turn: take frames farther apart, or move the camera "
-            "sideways",
+            f"the direction of motion is known to ±{min(direction_deviation, 90):.0f}° only, "
+            "because the image moves little beyond a turn: take frames farther apart, or move the "
+            "camera sideways",
         )
         return doubt, evidence
     return None, evidence
@@ -86,8 +86,8 @@ def _is_better(rays: Rays, pose: Pose, search: CameraSearch) -> bool:
 def _contradicted_status(search: CameraSearch) -> Status:
     value = search.best_value
     if search.parameter == "focal":
-        text = f"with a focal length that is {np.exp(value):.2g} times the stated one"
-        advice = "check the focal length"
+        text = f"with a focal length that is {np.exp(value):.2g} times as long"
+        advice = "give the true focal length"
     elif search.parameter == "zoom":
         text = f"with a zoom of {100 * np.expm1(value):+.2g} % from frame 0 to frame 1"
         advice = "check the focal length, or take frames without a zoom"

@@ -93,7 +93,7 @@ def improve_cameras(rays: Rays, cameras: Cameras, *, is_free: bool) -> tuple[Cam
 
     Free values are improved as well; the deviations of other values are infinite.
     """
-    changed = _change_cameras(rays, cameras)
+    changed = change_cameras(rays, cameras)
     translations = cameras.translations
     points = nearest_points(changed, cameras.rotations, translations)
     is_behind = np.sign(points.inverse_depth) @ rays.trust < 0
@@ -107,7 +107,7 @@ def improve_cameras(rays: Rays, cameras: Cameras, *, is_free: bool) -> tuple[Cam
     weight *= (INTRINSICS.independent_rays / (scales**2 * rays.trust.size))[:, None]
     jacobian = distance_jacobian(points, changed.focal)
     if is_free:
-        derivative = _derivatives(changed, points, cameras)
+        derivative = find_derivatives(changed, points, cameras)
         jacobian = np.concatenate([jacobian, derivative[:, None]], axis=1)
     weighted = jacobian * weight[:, None]
     matrix = weighted @ np.swapaxes(jacobian, 1, 2)
@@ -131,7 +131,7 @@ def improve_cameras(rays: Rays, cameras: Cameras, *, is_free: bool) -> tuple[Cam
     return improved, deviations
 
 
-def _change_cameras(rays: Rays, cameras: Cameras) -> Rays:
+def change_cameras(rays: Rays, cameras: Cameras) -> Rays:
     """Return the rays of all cameras: (M, 3, N) and (M, 2, N), and focal lengths (M, 1)."""
     x0, x1 = rays.rays0[:2], rays.rays1
     values = cameras.values[:, None]
@@ -144,7 +144,7 @@ def _change_cameras(rays: Rays, cameras: Cameras) -> Rays:
         for factor in (factor0, factor1)
     )
     for x, factor in ((x0, factor0), (x1, factor1)):
-        factor[is_distortion] = _undistort((x * x).sum(axis=0), values[is_distortion])
+        factor[is_distortion] = undistort_points((x * x).sum(axis=0), values[is_distortion])
     moved0 = x0 * factor0[:, None]
     return Rays(
         rays0=np.concatenate([moved0, np.ones_like(moved0[:, :1])], axis=1),
@@ -154,16 +154,22 @@ def _change_cameras(rays: Rays, cameras: Cameras) -> Rays:
     )
 
 
-def _undistort(square: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return factors of points without the distortion k₁, (M, N); `square` is r² of the points."""
-    undistorted = square
+def undistort_points(square: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return factors of points without the distortion k₁, (M, N); `square` is r² of the points.
+
+    The factor f solves f (1 + k₁ r² f²) = 1, by Newton's method. Beyond the radius where the
+    distortion folds the image, the largest factor is returned.
+    """
+    strength = values * square
+    factor = np.ones_like(strength)
     for _ in range(INTRINSICS.undistortion_iterations):
-        scale = np.maximum(1 + values * undistorted, INTRINSICS.min_distortion)
-        undistorted = square / scale**2
-    return np.asarray(1 / scale)
+        slope = np.maximum(1 + 3 * strength * factor**2, INTRINSICS.min_distortion_slope)
+        factor -= (factor * (1 + strength * factor**2) - 1) / slope
+        factor = np.clip(factor, 0.0, INTRINSICS.max_undistortion)
+    return factor
 
 
-def _derivatives(rays: Rays, points: EpipolarPoints, cameras: Cameras) -> np.ndarray:
+def find_derivatives(rays: Rays, points: EpipolarPoints, cameras: Cameras) -> np.ndarray:
     """Return the negative derivatives of distances by the values of cameras, (M, N), px."""
     x0, x1 = rays.rays0[:, :2], rays.rays1
     is_zoom, is_distortion = (
@@ -186,7 +192,7 @@ def _derivatives(rays: Rays, points: EpipolarPoints, cameras: Cameras) -> np.nda
 
 def find_points(rays: Rays, cameras: Cameras) -> EpipolarPoints:
     """Return the points of epipolar lines of all cameras, (M, N)."""
-    return nearest_points(_change_cameras(rays, cameras), cameras.rotations, cameras.translations)
+    return nearest_points(change_cameras(rays, cameras), cameras.rotations, cameras.translations)
 
 
 def robust_deviations(distances: np.ndarray, weights: np.ndarray) -> np.ndarray:

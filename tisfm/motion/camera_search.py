@@ -77,9 +77,14 @@ def search_cameras(
     rays: Rays,  # of a flow field, some hundred
     pose: Pose,  # the motion that fits the rays best with the stated camera, ‖t‖ = 1
     rotation: np.ndarray,  # (3, 3): the rotation that fits them best without a translation
-    parameters: tuple[Parameter, ...] = PARAMETERS,  # the first of them is "focal"
+    *,
+    focal_only: bool = False,  # whether the other parameters are left out
 ) -> list[CameraSearch]:
-    """Search for the values of parameters, and the motions, that explain rays best."""
+    """Search for the values of parameters, and the motions, that explain rays best.
+
+    The focal length comes first.
+    """
+    parameters = PARAMETERS[:1] if focal_only else PARAMETERS
     stated = Cameras.of("focal", [0.0] * len(parameters), [pose] * len(parameters))
     stated = replace(stated, parameters=parameters)
     tried = _follow(rays, pose, parameters) + _try_other_motions(rays, pose, rotation)

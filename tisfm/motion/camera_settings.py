@@ -48,8 +48,9 @@ class IntrinsicsSettings:
     zoom_prior: float = 0.05
     distortion_prior: float = 0.3
     max_overshoot: float = 1.2  # largest value of a fit over the largest value that is tried
-    undistortion_iterations: int = 5  # iterations of the radius without distortion
-    min_distortion: float = 0.3  # smallest scale of a point by the distortion
+    undistortion_iterations: int = 8  # Newton's iterations of the radius without distortion
+    min_distortion_slope: float = 0.1  # smallest derivative of the distorted radius
+    max_undistortion: float = 3.0  # largest factor of a point without the distortion
     other_iterations: int = 3  # iterations of a motion that is far from the stated camera's
     joint_iterations: int = 6  # iterations of motion and value, from the best value
     min_change: float = 0.02  # standard deviations: a smaller change of the value ends them

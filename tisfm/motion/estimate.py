@@ -52,8 +52,7 @@ class Estimate:
     start_flow: np.ndarray | None = None
     start_level: int = 0  # level of `start_flow`
     light: tuple[LightChange, ...] = ()  # changes of light that were undone in the pyramid
-    # what the first flow field says about the focal length; None if a pose is known or matches
-    # gave the motion
+    # what the first flow field or the matches say about the focal length; None if a pose is known
     focal_evidence: FocalEvidence | None = None
     # (h, w) bool or None: pixels that are fixed on the sensor, of a level; the estimate is then
     # incomplete, and has to be made again without these pixels

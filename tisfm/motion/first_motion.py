@@ -56,7 +56,7 @@ class FirstMotion:
     # whether the frames have one layout but different contents, so that matches are useless
     is_cut: bool = False
     light: tuple[LightChange, ...] = ()  # changes of light that were undone, in order
-    # what the flow field says about the focal length; None if a pose is known or matches gave it
+    # what the flow field or the matches say about the focal length; None if a pose is known
     focal_evidence: FocalEvidence | None = None
 
     @property

@@ -12,6 +12,7 @@ from tisfm.motion.camera_search import (
 )
 from tisfm.motion.camera_settings import INTRINSICS
 from tisfm.motion.epipolar_fit import Pose, Rays, rotation_alone
+from tisfm.settings import FocalOrigin
 from tisfm.status import Status
 
 # Statuses of results that may be right, if the focal length is right.
@@ -43,24 +44,26 @@ class FocalEvidence:
         """Whether the focal length of the rays is better than a guess."""
         return self.is_significant and self.value_deviation < INTRINSICS.max_focal_deviation
 
-    def add_note(self, status: Status, *, is_guess: bool) -> Status:
+    def add_note(self, status: Status, origin: FocalOrigin) -> Status:
         """Return a status whose message says that the result depends on the focal length.
 
         With a guess, such a result is uncertain.
         """
-        max_size = INTRINSICS.max_wrong_guess if is_guess else INTRINSICS.max_wrong_focal
-        texts = describe_changes(*self.largest_changes(max_size))
+        max_sizes = {
+            "stated": INTRINSICS.max_wrong_focal,
+            "guessed": INTRINSICS.max_wrong_guess,
+            "estimated": 2 * self.value_deviation,
+        }
+        texts = describe_changes(*self.largest_changes(max_sizes[origin]))
         if not texts or status not in NOTED_STATUSES:
             return status
-        note = (
-            f"the result depends on the {'guessed' if is_guess else 'stated'} focal length, which "
-            f"the image motion does not show: another one would change {', '.join(texts)}"
+        advice = "Check the focal length" if origin == "stated" else "Give the focal length"
+        is_doubtful = origin != "stated" and status == "converged"
+        return Status(
+            "uncertain" if is_doubtful else str(status),
+            f"{status.message}. The result depends on the {origin} focal length, which the image "
+            f"motion does not show: another one would change {', '.join(texts)}. {advice}",
         )
-        if is_guess and status == "converged":
-            return Status("uncertain", f"{note}; give the focal length")
-        note = note[0].upper() + note[1:]
-        advice = "Give the focal length" if is_guess else "Check the focal length"
-        return Status(str(status), f"{status.message}. {note}. {advice}")
 
     def largest_changes(self, max_size: float) -> tuple[float, float, float]:
         """Largest changes of depth, direction and rotation by allowed focal lengths up to a size.
@@ -120,7 +123,7 @@ def weigh_focal(rays: Rays, pose: Pose, search: CameraSearch) -> FocalEvidence:
 def examine_focal(rays: Rays, pose: Pose) -> FocalEvidence:
     """Return what rays say about the focal length; the motion is that of the stated one."""
     sample = rays.subsample(max(1, rays.trust.size // INTRINSICS.max_rays))
-    (search,) = search_cameras(sample, pose, rotation_alone(sample), ("focal",))
+    (search,) = search_cameras(sample, pose, rotation_alone(sample), focal_only=True)
     return weigh_focal(sample, pose, search)
 
 

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 
 from tisfm.motion.epipolar_fit import (
+    MIN_LENGTH,
     FreeUnknowns,
     Pose,
     Rays,
@@ -134,7 +135,8 @@ def _fit_homography(rays: Rays) -> tuple[np.ndarray, float]:
         normal = (system * np.tile(weight, 2)) @ system.T
         homography = np.linalg.eigh(normal)[1][:, 0].reshape(3, 3)
         homogeneous = homography @ rays0
-        distance = rays.focal * np.hypot(*(homogeneous[:2] / homogeneous[2] - rays.rays1))
+        nearness = 1 / np.where(homogeneous[2] == 0, MIN_LENGTH, homogeneous[2])
+        distance = rays.focal * np.hypot(*(homogeneous[:2] * nearness - rays.rays1))
         scale = robust_deviation(distance, rays.trust)
         weight = rays.trust / (1 + (distance / max(scale, SPARSE.min_plane_distance)) ** 2)
     return homography, scale

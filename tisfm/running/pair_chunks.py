@@ -21,7 +21,7 @@ from tisfm.running.pair_files import Checksums, Ranges
 from tisfm.running.pairs import PairSource, PairWork
 from tisfm.running.pool import check_worker, open_pool, sendable_error
 from tisfm.runtime import Arch
-from tisfm.settings import FixedPixels
+from tisfm.settings import FixedPixels, FocalOrigin
 from tisfm.sources import FramePair, FrameSource, Listing, Source
 from tisfm.sources.frame_reader import is_path
 from tisfm.sources.webcam import webcam_number
@@ -142,6 +142,7 @@ def interpret_with_workers(
     workers: int,  # number of processes
     first: int,  # number of the first pair
     fixed_pixels: FixedPixels = "mask",  # as for `tisfm.interpret`
+    focal_origin: FocalOrigin = "stated",
 ) -> Iterator[Interpretation | str]:
     """Interpret pairs in several processes of this machine; yield the results in order.
 
@@ -154,7 +155,12 @@ def interpret_with_workers(
     reader.close()
     all_pairs = Chunk(
         source=source,
-        work=PairWork(camera=camera, settings=source.settings, fixed_pixels=fixed_pixels),
+        work=PairWork(
+            camera=camera,
+            settings=source.settings,
+            fixed_pixels=fixed_pixels,
+            focal_origin=focal_origin,
+        ),
         first=first,
         end=len(pairs),
         arch=runtime.running_arch(),  # type: ignore[arg-type]  # an arch of `runtime.start`

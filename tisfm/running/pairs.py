@@ -18,7 +18,7 @@ from tisfm.interpretation import Interpretation
 from tisfm.lens import undistort
 from tisfm.rigid import check_pose
 from tisfm.running.pair_files import PairFiles
-from tisfm.settings import FixedPixels, Settings
+from tisfm.settings import FixedPixels, FocalOrigin, Settings
 from tisfm.sources import BadFrames, FramePair, FrameSource, Source
 from tisfm.window import Window
 
@@ -84,6 +84,7 @@ class PairWork:
     camera: Camera  # camera of the frames after crop and reduction
     settings: Settings
     fixed_pixels: FixedPixels = "mask"  # as for `tisfm.interpret`
+    focal_origin: FocalOrigin = "stated"
     # files of the pairs; None if results are returned instead of written
     files: PairFiles | None = field(default=None, repr=False)
 
@@ -94,6 +95,7 @@ class PairWork:
             settings=self.settings,
             window=window,
             fixed_pixels=self.fixed_pixels,
+            focal_origin=self.focal_origin,
         )
 
     def write_arguments(self, pair: FramePair, number: int) -> dict[str, Any]:

@@ -172,6 +172,7 @@ class SequenceRun:
             camera=writer.camera,
             settings=self.settings,
             fixed_pixels=self.fixed_pixels,
+            focal_origin="guessed" if self.guess else "stated",
             files=writer.files,
         )
         pool = open_pool(self.workers, self.cluster) if self.is_shared else nullcontext()

@@ -1,16 +1,14 @@
 """Pairs of consecutive frames."""
 
 import hashlib
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from tisfm.camera import Camera
 from tisfm.interpretation import Interpretation
-from tisfm.settings import FixedPixels, Settings
+from tisfm.settings import FixedPixels, FocalOrigin, Settings
 from tisfm.window import Window
 
 
@@ -49,38 +47,33 @@ class FramePair:
         settings: Settings | None = None,
         window: Window | None = None,
         fixed_pixels: FixedPixels = "mask",
+        focal_origin: FocalOrigin | None = None,
     ) -> Interpretation:
         """Interpret the pair. Errors contain the names of the frames.
 
-        `fixed_pixels` is as for `tisfm.interpret`. `window`, for motion ``"field"``, contains the
-        result of the previous pair, and after the call the result of this pair.
+        `fixed_pixels` is as for `tisfm.interpret`, `focal_origin` as for
+        `tisfm.pair.interpret_pair`. `window`, for motion ``"field"``, contains the result of the
+        previous pair, and after the call the result of this pair.
         """
-        from tisfm.pair import interpret, interpret_pair
+        from tisfm.pair import interpret_pair
 
         if camera is not None and camera.readout and self.interval > 1:
             camera = replace(camera, readout=camera.readout / self.interval)
         ignored = self.ignored0, self.ignored1
-        interpret_frames: Callable[..., Interpretation] = interpret
-        if not self.scales_unit_range or any(mask is not None for mask in ignored):
-            interpret_frames = partial(
-                interpret_pair, scales_unit_range=self.scales_unit_range, ignored=ignored
-            )
         if window is not None:
             window.begin(self.interval)
-            interpret_frames = partial(
-                interpret_pair,
-                scales_unit_range=self.scales_unit_range,
-                ignored=ignored,
-                window=window,
-            )
         try:
-            return interpret_frames(
+            return interpret_pair(
                 self.frame0,
                 self.frame1,
                 camera=camera,
                 settings=settings,
                 pose=self.pose,
+                ignored=ignored,
+                scales_unit_range=self.scales_unit_range,
+                window=window,
                 fixed_pixels=fixed_pixels,
+                focal_origin=focal_origin,
             )
         except (TypeError, ValueError) as error:
             error.args = (f"frames {self.name0} and {self.name1}: {error}",)

@@ -60,7 +60,8 @@ def weigh_pair(
         zoom_gain=max(free_residual, PATH_CHECKS.min_zoom_residual)
         / max(zoom_residual, PATH_CHECKS.min_zoom_residual),
         parallax=float(np.median(free_parallax)) / max(pair.shape),
-        focal_spread=focal.spread,
+        focal_value=focal.value,
+        focal_deviation=focal.value_deviation,
         focal_depth=focal_changes[0],
         focal_direction=float(np.degrees(focal_changes[1])),
         focal_rotation=float(np.degrees(focal_changes[2])),

@@ -27,6 +27,7 @@ class Limits:
     max_fixed_share: float = 0.02  # share of the texture
     # relative standard deviation of the focal length: below, the image motion shows it; set by hand
     max_focal_spread: float = 0.1
+    focal_prior: float = 0.5  # standard deviation of the logarithm of an unknown focal length
     # px of the shrunk frames: motion of points at infinity that shows fixed texture
     min_infinity_motion: float = 2.0
 
@@ -69,8 +70,9 @@ class PairEvidence:
         Residual of the free motion over that of a free motion with zoom.
     parallax : float
         Median image motion beyond that of the rotation, as a share of the longer side.
-    focal_spread : float
-        Relative standard deviation of the focal length that the image motion of the pair shows.
+    focal_value, focal_deviation : float
+        Logarithm of the focal length that fits the image motion of the pair best over the one of
+        the path, and its standard deviation.
     focal_depth, focal_direction, focal_rotation : float
         Largest changes by another focal length that the image motion allows: of depth, relative; of
         the direction of motion and of the rotation, degrees.
@@ -97,7 +99,8 @@ class PairEvidence:
     zoom_deviation: float
     zoom_gain: float
     parallax: float
-    focal_spread: float
+    focal_value: float
+    focal_deviation: float
     focal_depth: float
     focal_direction: float
     focal_rotation: float
@@ -204,9 +207,18 @@ class PathCheck:
 
     @property
     def focal_spread(self) -> float:
-        """Relative standard deviation of the focal length that the pairs show together."""
-        spreads = np.array([pair.focal_spread for pair in self.pairs])
-        return float(1 / np.sqrt((1 / spreads**2).sum())) if self.pairs else float("nan")
+        """How far the pairs together leave the focal length open, relative.
+
+        It is the standard deviation of their mean, with the distance of the mean from the focal
+        length of the path. A pair that knows no more than is likely before has no weight.
+        """
+        if not self.pairs:
+            return float("nan")
+        values = np.array([pair.focal_value for pair in self.pairs])
+        deviations = np.array([pair.focal_deviation for pair in self.pairs])
+        weights = np.maximum(1 / deviations**2 - 1 / LIMITS.focal_prior**2, 0)
+        total = weights.sum() + 1 / LIMITS.focal_prior**2
+        return float(np.hypot((weights * values).sum() / total, 1 / np.sqrt(total)))
 
     @property
     def objections(self) -> tuple[str, ...]:
