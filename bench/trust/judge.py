@@ -146,7 +146,7 @@ def judge_sequence(
         "grades": dict(Counter(map(str, result.grades))),
         "messages": [
             *sorted({s.message for s in result.status if s.message})[:4],
-            *[result.calibration.message] * bool(result.calibration.message),
+            *filter(None, [result.calibration.message, result.focal_note]),
         ],
     }
 

@@ -8,18 +8,24 @@ import numpy as np
 import pytest
 
 import tisfm
+from tests.exports.made import made
 from tests.reconstruction.films import along, path_error
 from tests.rendered import room_film
+from tisfm.cli.reconstruct import _tell
 from tisfm.errors import InputError
 from tisfm.reconstruction.frames.image_motion import chain_flows
 from tisfm.reconstruction.path_checks import dense_pairs
 from tisfm.reconstruction.path_checks.dense_pairs import find_matching_pixels
 from tisfm.reconstruction.path_checks.pieces import choose_second_frame
 from tisfm.reconstruction.result.calibration import GIVEN
+from tisfm.reconstruction.result.focal_note import find_focal_note
 from tisfm.reconstruction.result.folder import FIXED_MASK
 from tisfm.reconstruction.result.path_check import PairEvidence, PathCheck
-from tisfm.reconstruction.stages.checks import add_focal_note
 from tisfm.reconstruction.tracks.tracker import Observations
+from tisfm.report.reconstruction_report import _report
+from tisfm.results.sequence_frames import SequenceFrames
+from tisfm.view.html_texts import status_html
+from tisfm.view.static_page import _caption
 
 FAST = tisfm.Settings.preset("fast", motion="camera")
 COUNT, HEIGHT, WIDTH = 10, 120, 160
@@ -151,11 +157,10 @@ def test_a_sequence_that_depends_on_its_stated_focal_length_says_so():
     check = check_of(
         focal_deviation=0.3, focal_depth=0.02, focal_direction=40.0, focal_rotation=1.0
     )
-    noted = add_focal_note(GIVEN, [check])
-    assert noted.origin == "given" and "the result depends on the stated focal" in noted.message
-    assert "direction of motion by up to 40°; check" in noted.message
-    estimated = replace(GIVEN, origin="estimated")
-    assert add_focal_note(estimated, [check]) is estimated
+    note = find_focal_note(GIVEN, [check])
+    assert note.startswith("the result depends on the stated focal length")
+    assert "direction of motion by up to 40°; check" in note
+    assert not find_focal_note(replace(GIVEN, origin="estimated"), [check])
     shown = replace(check, pairs=check.pairs * 20)  # together, twenty pairs show the focal length
     assert check.focal_spread == pytest.approx(0.3) and shown.focal_spread < 0.1
     unknown = replace(check, pairs=tuple(replace(p, focal_deviation=0.5) for p in shown.pairs))
@@ -163,9 +168,27 @@ def test_a_sequence_that_depends_on_its_stated_focal_length_says_so():
     pair = replace(check.pairs[0], focal_value=0.2, focal_deviation=0.1)
     off = replace(check, pairs=(pair,) * 20)
     assert off.focal_spread == pytest.approx(0.2, abs=0.01)  # they agree on another one
-    assert add_focal_note(GIVEN, [shown]) is GIVEN
-    assert add_focal_note(GIVEN, [check_of(focal_deviation=0.3)]) is GIVEN  # it changes little
-    assert add_focal_note(GIVEN, []) is GIVEN
+    assert not find_focal_note(GIVEN, [shown])
+    assert not find_focal_note(GIVEN, [check_of(focal_deviation=0.3)])  # it changes little
+    assert not find_focal_note(GIVEN, [])
+
+
+def test_all_texts_of_a_result_have_the_note_on_the_focal_length(tmp_path, capsys):
+    """The camera's file has no such note: another film with this camera may show it."""
+    plain = made(tmp_path / "made", count=3)
+    check = check_of(focal_deviation=0.3, focal_direction=40.0)
+    replace(plain, checks=(check,)).save(tmp_path / "saved")
+    result = tisfm.Reconstruction.load(tmp_path / "saved")
+    note = result.focal_note
+    assert "depends on the stated focal length" in note and not result.calibration.message
+    assert note[1:] in result.summary() and plain.focal_note == ""
+    assert note[:40] in dict(_report(result, tmp_path, None).summary)["Note on the focal length"]
+    frames = SequenceFrames(result)
+    assert _caption(frames, 3, []).endswith(note)
+    assert note in status_html(frames, frames.read(0), 0)
+    _tell(result, tmp_path)
+    told = " ".join(capsys.readouterr().err.split())
+    assert note in told and "focal length: " not in told
 
 
 @pytest.mark.parametrize(

@@ -409,7 +409,10 @@ def _tell(result: Reconstruction, output: Path) -> None:
         tell(text + (f"; {moving_object.message}" if moving_object.message else ""))
     calibration = result.calibration
     if calibration.message:
-        tell(f"focal length: {calibration.message}" if calibration.seen else calibration.message)
+        names_focal = calibration.seen and calibration.origin != "given"
+        tell(f"focal length: {calibration.message}" if names_focal else calibration.message)
+    if result.focal_note:
+        tell(result.focal_note)
     if calibration.readout:
         tell(
             f"rolling shutter: the readout takes {calibration.readout:.2f} ± "

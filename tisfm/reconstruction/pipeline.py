@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.reconstruction.result.statuses import add_mask_notes
-from tisfm.reconstruction.stages.checks import add_focal_note, check_pieces
+from tisfm.reconstruction.stages.checks import check_pieces
 from tisfm.reconstruction.stages.depth import find_depth
 from tisfm.reconstruction.stages.job import Job
 from tisfm.reconstruction.stages.moving_pixels import mask_moving_pixels
@@ -34,7 +34,6 @@ def reconstruct_sequence(job: Job) -> Reconstruction:
         statuses = add_mask_notes(depth.status, depth.piece.tolist(), masked.moving_shares)
         depth = replace(depth, status=statuses)
         checks = check_pieces(job, reading.frames, path_result.path, depth)
-    calibration = add_focal_note(calibration, checks)
     if job.revises_camera:
         warn_of_camera(calibration)
     return write_result(job, reading, path_result, calibration, depth, checks)

@@ -144,6 +144,8 @@ def _summary(result: Reconstruction, folder: Path, source: str | None) -> list[t
     ]
     if calibration.message and calibration.message != f"{focal}, estimated from the sequence":
         rows.append(("Note on the camera", shorten(calibration.message)))
+    if result.focal_note:
+        rows.append(("Note on the focal length", shorten(result.focal_note)))
     if calibration.readout:
         rows.append(("Rolling shutter", f"{calibration.readout:.2f} of the time to the next frame"))
     if result.skipped:

@@ -65,6 +65,7 @@ class PairFrames:
     depth_advice = "run with --motion camera, or look at the statuses in run.json"
     unit_advice = "take the _depth16.png files of the run, which state a scale of their own"
     can_fuse = False
+    focal_note = ""  # the statuses of pairs say it
 
     def __init__(self, folder: str | os.PathLike[str], *, complete: bool = True) -> None:
         self.folder = Path(folder)

@@ -55,6 +55,10 @@ class ResultFrames(Protocol):
         """
 
     @property
+    def focal_note(self) -> str:
+        """As `tisfm.Reconstruction.focal_note`; "" for pairs, whose statuses say it."""
+
+    @property
     def depth_advice(self) -> str:
         """How to get depth for frames without depth."""
 

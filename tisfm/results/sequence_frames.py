@@ -81,6 +81,11 @@ class SequenceFrames:
         return self._result.grade_summary
 
     @property
+    def focal_note(self) -> str:
+        """What depends on a stated focal length that the image motion does not show."""
+        return self._result.focal_note
+
+    @property
     def shape(self) -> tuple[int, int]:
         """Height and width of the frames, px."""
         return self._result.shape

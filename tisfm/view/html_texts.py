@@ -84,6 +84,8 @@ def status_html(
             lines.append(UNKNOWN_STATUS_ADVICE)
         if str(status) != "converged" and status.message:
             lines.append(status.message)
+        if result.focal_note:
+            lines.append(result.focal_note)
         if result.has_one_scale and result.piece[number] < 0:
             lines.append("it has no pose: it is shown at the origin")
     return macro(_TEMPLATE, "status", lines, result.names[number], badge, COLORS[str(grade)])

@@ -88,13 +88,14 @@ def static_page(
 
 
 def _caption(result: ResultFrames, shown_count: int, unread: list[str]) -> str:
-    """Return name and number of frames, and which frames could not be read."""
+    """Return name, number of frames, unread frames, grade, and a note on the focal length."""
     text = f"{result.folder.resolve().name}: {shown_count} of {len(result.names)} frames"
     if unread:
         others = f" and {len(unread) - 1} more" if len(unread) > 1 else ""
         text += f". Left out, as it cannot be read: {unread[0]}{others}"
     if result.names:
         text += f". Grade {result.grade_summary.text}"
+        text += f". {result.focal_note}" if result.focal_note else ""
     return text
 
 

@@ -30,6 +30,7 @@ def result_of(poses, depth, code="converged", error=0.02):
             "status": (Status(code),) * count,
             "checks": (),
             "calibration": GIVEN,
+            "focal_note": "it depends on the stated focal length",
             "grade": lambda self, k: grade_depth(Status(code), error),
             "grades": property(lambda self: [self.grade(k) for k in range(count)]),
             "depth_error": np.full(count, error if np.isfinite(depth).any() else np.nan),
@@ -55,6 +56,7 @@ def in_other_axes(poses):
 def test_a_right_result_is_right_in_any_unit_and_axes():
     found = judged(in_other_axes(POSES), 7 * TRUE_DEPTH)
     assert found["outcome"] == "right, green"
+    assert "it depends on the stated focal length" in found["messages"]
     (piece,) = found["pieces"]
     assert max(piece["errors"][n] for n in ("rotation", "path", "direction", "depth")) < 1e-5
 

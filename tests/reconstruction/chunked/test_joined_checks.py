@@ -22,14 +22,14 @@ from tisfm.reconstruction.result.statuses import mark_contradicted
 COUNT, SHARED = 6, 3  # frames of a chunk, and of its overlap with the next chunk
 
 
-def joined(folder, checks, masks, errors, causes=("", "", "")):
+def joined(folder, checks, masks, errors, causes=None):
     """Return the joined result of chunks of one path, with these checks, masks and errors.
 
     Chunks are contradicted by their checks; `causes` says what hides the motion in each.
     """
     poses = along(len(checks) * SHARED + SHARED)
     parts = []
-    of_chunks = zip(checks, masks, errors, causes, strict=False)
+    of_chunks = zip(checks, masks, errors, causes or [""] * len(checks), strict=True)
     for number, (check, mask, error, cause) in enumerate(of_chunks):
         begin = number * SHARED
         chunk = made(folder / f"{number}", count=COUNT, poses=poses[begin : begin + COUNT])
@@ -77,6 +77,16 @@ def test_right_chunks_join_to_a_right_piece(tmp_path):
     assert set(result.status) == {"converged"}
     assert result.grades[0] == "good" and result.grades[-1] == "fair"
     assert result.depth_error.tolist() == pytest.approx([0.01] * 4 + [0.05] * 5)
+
+
+def test_the_note_on_the_focal_length_is_that_of_all_chunks(tmp_path):
+    plain, dependent = (
+        check_of(focal_deviation=0.3),
+        check_of(focal_deviation=0.3, focal_direction=40.0),
+    )
+    result = joined(tmp_path, [plain, plain, dependent], [None] * 3, [0.01] * 3)
+    assert "direction of motion by up to 40°" in result.focal_note
+    assert not result.calibration.message
 
 
 def test_a_single_part_is_its_own_check():

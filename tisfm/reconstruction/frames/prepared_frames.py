@@ -304,6 +304,11 @@ class PreparedFrames:
             ignored = is_moving if ignored is None else ignored | is_moving
         return None if ignored is None else ~ignored
 
+    def static_pixels(self, number: int) -> np.ndarray:
+        """Return the pixels of a frame that count as static, (H, W) bool: all that are used."""
+        used_pixels = self.used_pixels(number)
+        return np.ones(self.shape, bool) if used_pixels is None else used_pixels
+
     def _change_state(self, number: int, **changes: Any) -> None:
         self._states[number] = replace(self._states[number], **changes)
 

@@ -37,7 +37,8 @@ class Calibration:
     shape: tuple[int, int] | None = None
     # whether the focal length is reliable: False for a guess, or if the motion hardly determines it
     seen: bool = True
-    # the focal length, its origin and the size of its frames in words; empty if the user gave it
+    # the focal length, its origin and the size of its frames in words; for a given focal length,
+    # what else was found, such as a lens, or empty
     message: str = ""
     # the estimated lens coefficient k1, whose distortion was removed; 0 without an estimate
     radial: float = 0.0

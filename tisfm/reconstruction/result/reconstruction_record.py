@@ -11,6 +11,7 @@ from tisfm.camera import Camera
 from tisfm.errors import InputError, OutOfRangeError
 from tisfm.grade import Grade, GradeSummary, grade_depth, summarise_grades, warn_of_grades
 from tisfm.reconstruction.result.calibration import GIVEN, Calibration
+from tisfm.reconstruction.result.focal_note import find_focal_note
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.reconstruction.result.path_check import PathCheck
 from tisfm.reconstruction.result.summary import summarise
@@ -139,6 +140,20 @@ class ReconstructionRecord:
         """The worst grade. Frames whose depth was not requested do not count."""
         return self.grade_summary.worst
 
+    @property
+    def focal_note(self) -> str:
+        """What depends on a stated focal length that the image motion does not show; "" if nothing.
+
+        It follows from the origin of the focal length and from `checks`.
+
+        Examples
+        --------
+        >>> import tisfm
+        >>> tisfm.Reconstruction.load("walk").focal_note
+        ''
+        """
+        return find_focal_note(self.calibration, self.checks)
+
     def summary(self) -> str:
         """Return one paragraph: poses, pieces, focal length, grades, contradictions and advice.
 
@@ -157,6 +172,7 @@ class ReconstructionRecord:
             self.camera,
             self.calibration,
             self.zoom,
+            self.focal_note,
         )
 
     def warning(self, frames: Iterable[int] | None = None) -> str:

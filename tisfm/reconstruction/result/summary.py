@@ -18,6 +18,7 @@ def summarise(
     camera: Camera,
     calibration: Calibration,
     zoom: np.ndarray | None,  # as `Reconstruction.zoom`
+    focal_note: str = "",  # as `Reconstruction.focal_note`
 ) -> str:
     """Return one paragraph: poses, pieces, focal length, grades, and what to do."""
     sentences = [f"{describe_poses(piece, has_position)}."]
@@ -38,6 +39,8 @@ def summarise(
         sentences.append(f"{code}, {frames}{message}.")
     if calibration.message and has_notable_message:
         sentences.append(f"{calibration.message}.")
+    if focal_note:
+        sentences.append(f"{focal_note[0].upper()}{focal_note[1:]}.")
     return " ".join(" ".join(sentences).replace("..", ".").split())
 
 

@@ -1,20 +1,17 @@
 """The fourth stage: checks of the path and its depth against the image motion."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.motion.focal_evidence import describe_changes
 from tisfm.reconstruction.causes.cause_search import CauseSearch
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.path.camera_path import CameraPath
 from tisfm.reconstruction.path_checks.pieces import check_piece
-from tisfm.reconstruction.result.calibration import Calibration
 from tisfm.reconstruction.result.folder import depth_path, read_depth
-from tisfm.reconstruction.result.path_check import LIMITS, UNCHECKED, PathCheck
+from tisfm.reconstruction.result.path_check import UNCHECKED, PathCheck
 from tisfm.reconstruction.stages.depth import DepthResult
 from tisfm.reconstruction.stages.job import Job
 
@@ -62,41 +59,16 @@ def _check_piece(
     if piece.only_turns:
         return UNCHECKED
 
-    def static_pixels(frame: int) -> np.ndarray:
-        used_pixels = frames.used_pixels(frame)
-        return np.ones(frames.shape, bool) if used_pixels is None else used_pixels
-
     return check_piece(
         poses,
         keyframes,
         path.observations,
         frames.grey,
-        static_pixels,
+        frames.static_pixels,
         inverse_depth,
         camera,
         frames.kept_flow,
     )
-
-
-def add_focal_note(calibration: Calibration, checks: Sequence[PathCheck]) -> Calibration:
-    """Return the calibration; its message says if the result depends on a stated focal length."""
-    pairs = [pair for check in checks for pair in check.pairs]
-    if calibration.origin != "given" or not pairs:
-        return calibration
-    spread = min(check.focal_spread for check in checks if check.pairs)
-    changes = np.max(
-        [[pair.focal_depth, pair.focal_direction, pair.focal_rotation] for pair in pairs], axis=0
-    )
-    depth, direction, rotation = (float(change) for change in changes)
-    texts = describe_changes(depth, np.radians(direction), np.radians(rotation))
-    if spread < LIMITS.max_focal_spread or not texts:
-        return calibration
-    note = (
-        "the result depends on the stated focal length, which the image motion does not show: "
-        f"another one would change {', '.join(texts)}; check the focal length"
-    )
-    message = f"{calibration.message}; {note}" if calibration.message else note
-    return replace(calibration, message=message)
 
 
 def find_contradiction_causes(

@@ -3,8 +3,6 @@
 from collections import deque
 from collections.abc import Mapping
 
-import numpy as np
-
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.path_checks.fixed_texture import spread_evenly
@@ -57,13 +55,9 @@ class StreamChecks:
                 poses,
                 self._path.observations,
                 self._frames.grey,
-                self._static_pixels,
+                self._frames.static_pixels,
                 self._frames.camera,
             )
             if pair is not None:
                 evidence.append(pair)
         return check_with_pairs(tuple(evidence), poses, self._frames.grey, self._frames.camera)
-
-    def _static_pixels(self, frame: int) -> np.ndarray:
-        used_pixels = self._frames.used_pixels(frame)
-        return np.ones(self._frames.shape, bool) if used_pixels is None else used_pixels
