@@ -25,15 +25,15 @@ def asked(monkeypatch):
     from tisfm import pair
 
     seen = []
-    original = pair.interpret
+    original = pair.interpret_pair
 
-    def interpret(frame0, frame1, *, camera, settings, pose):
+    def interpret_pair(frame0, frame1, *, camera, settings, pose, **options):
         seen.append((camera, pose))
         plain = replace(settings, motion="field")
         camera = camera or tisfm.Camera(1.2 * max(frame0.shape))
         return original(frame0, frame1, camera=camera, settings=plain)
 
-    monkeypatch.setattr(pair, "interpret", interpret)
+    monkeypatch.setattr(pair, "interpret_pair", interpret_pair)
     return seen
 
 

@@ -187,10 +187,17 @@ def first_motion(
             motion,
             rotation=found_pose[0],
             translation=found_pose[1],
-            doubt=camera_doubt or plane or doubt,
+            doubt=_strongest(camera_doubt, plane or doubt),
             focal_evidence=focal_evidence,
         )
     return replace(motion, rotation=fit.rotation, translation=fit.translation, doubt=doubt)
+
+
+def _strongest(camera_doubt: Status | None, other: Status | None) -> Status | None:
+    """Return the status to report: the most specific one that says how wrong the result is."""
+    if camera_doubt == "uncertain":  # another doubt tells why the direction is hardly known
+        return other or camera_doubt
+    return camera_doubt or other
 
 
 def motion_from_matches(start: FirstMotion, match_start: SparseStart) -> FirstMotion:
@@ -204,7 +211,7 @@ def motion_from_matches(start: FirstMotion, match_start: SparseStart) -> FirstMo
     if status is None and match_start.rays is not None:
         pose = motion.rotation, motion.translation
         camera_doubt, focal_evidence = examine_camera(match_start.rays, pose, motion.rotation_alone)
-        doubt = camera_doubt or doubt
+        doubt = _strongest(camera_doubt, doubt)
     return replace(
         start,
         rotation=motion.rotation_alone if is_rotation else motion.rotation,
