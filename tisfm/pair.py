@@ -57,6 +57,7 @@ def interpret(
         By default the principal point is the centre of the image. The default focal length is
         600 px for ``motion="field"``, as in the paper; for the other motion models, whose depth
         depends on it, it is 1.2 times the longer side of the image, with a `GuessedFocalWarning`.
+        For ``motion="camera"``, a focal length that the image motion shows replaces this guess.
         If the camera has distortion or oblong pixels, both frames are resampled first, and the
         result belongs to frame 0 without distortion and with square pixels, of the same size,
         focal length and centre. If the camera states a readout, as a share of the time from frame

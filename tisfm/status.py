@@ -44,11 +44,12 @@ class Status(str):
     - ``"little_parallax"``: the camera hardly moved. No depth.
     - ``"uncertain"``: the camera moved so little that depth is rough; with ``motion="camera"`` also
       if half of the depth is expected to be off by more than 10 %, if much of it has a large
-      deviation, or if regions of the image do not move as one rigid motion lets them.
+      deviation, if regions of the image do not move as one rigid motion lets them, if the
+      direction of motion is hardly known, or if the result depends on a guessed focal length.
     - ``"two_motions"``: two motions explain the frames equally well, because the frames show one
       plane or are far apart; depth follows from one of the motions.
-    - ``"contradicted"``: the image motion contradicts the camera, because a zoom, a lens, or a turn
-      with another focal length explains it better; of a frame of a sequence with a pose, it
+    - ``"contradicted"``: the image motion contradicts the camera, because another focal length, a
+      zoom, a lens, or a turn with another focal length explains it better; of a frame of a sequence with a pose, it
       contradicts the path. Pose and depth are probably wrong.
 
     With ``motion="camera"``:
