@@ -49,8 +49,8 @@ class Status(str):
     - ``"two_motions"``: two motions explain the frames equally well, because the frames show one
       plane or are far apart; depth follows from one of the motions.
     - ``"contradicted"``: the image motion contradicts the camera, because another focal length, a
-      zoom, a lens, or a turn with another focal length explains it better; of a frame of a sequence with a pose, it
-      contradicts the path. Pose and depth are probably wrong.
+      zoom, a lens, or a turn with another focal length explains it better; of a frame of a
+      sequence with a pose, it contradicts the path. Pose and depth are probably wrong.
 
     With ``motion="camera"``:
 
