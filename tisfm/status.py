@@ -16,6 +16,8 @@ STATUSES = (
 """Codes of `Status`."""
 UNKNOWN_STATUS_ADVICE = "This version of tisfm does not know this status: treat it as doubtful."
 """The message for a code that is not in `STATUSES`."""
+FOCAL_NOTE = "The result depends on the"
+"""The begin of the sentence of a message about a focal length that the image motion hides."""
 _CODE = re.compile(r"[a-z_]+")
 
 

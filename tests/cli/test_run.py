@@ -21,9 +21,11 @@ from tests.cli.command_line import (
     record,
 )
 from tests.draws import nightly_except
-from tisfm.formats import read_depth_png, read_flo, read_image
+from tisfm.formats import read_depth_png, read_flo, read_image, write_png
 from tisfm.lens import undistort
+from tisfm.rigid import pose_matrix
 from tisfm.running import pairs
+from tisfm.scenes import Plane, Scene, Texture
 from tisfm.settings import Settings
 from tisfm.show import depth_grey
 
@@ -362,3 +364,23 @@ def test_a_run_prints_advice(tisfm_run, frames):
     assert len(lines) == 2
     assert lines[1].startswith("iteration_limit: ")
     assert "raise outer_iterations" in lines[1]
+
+
+def test_run_counts_pairs_that_depend_on_the_stated_focal_length(tisfm_run, work_folder):
+    """A wall aslant, which is approached sideways, does not show the focal length."""
+    wall = Plane(texture=Texture(wavelength=0.12), point=(0, 0, 5), normal=(0.2, 0.1, -1))
+    scene = Scene(objects=[wall], camera=tisfm.Camera(focal=120.0), height=96, width=128)
+    poses = [pose_matrix((0.2 * k, 0.05 * k, 0.1 * k, 0, -0.03 * k, 0)) for k in range(2)]
+    Path("wall").mkdir()
+    for k, pose in enumerate(poses):
+        frame = np.clip(np.rint(scene.render_frame(pose, samples=3)), 0, 255).astype(np.uint8)
+        write_png(f"wall/{k}.png", frame)
+    options = ["--motion", "camera", "--preset", "fast", "--focal", "120", "--no-figures"]
+    code, _, err = tisfm_run("run", "wall", "-o", "out", *options)
+    assert code == 0
+    (pair,) = record("out")["pairs"].values()
+    assert "depends on the stated focal length" in pair["message"]
+    if pair["status"] == "converged":
+        assert "note: 1 of 1 converged pairs depend on the focal length" in err
+    else:
+        assert f"{pair['status']}: " in err and "depends on the stated focal length" in err

@@ -172,5 +172,7 @@ def _tell_result(writer: PairWriter) -> None:
     )
     for code, advice in writer.advice.items():
         tell(f"{code}: {advice}")
+    if note := writer.focal_note:
+        tell(f"note: {note}")
     if note := writer.times_note:
         tell(f"note: {note}")

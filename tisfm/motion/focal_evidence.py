@@ -13,7 +13,7 @@ from tisfm.motion.camera_search import (
 from tisfm.motion.camera_settings import INTRINSICS
 from tisfm.motion.epipolar_fit import Pose, Rays, rotation_alone
 from tisfm.settings import FocalOrigin
-from tisfm.status import Status
+from tisfm.status import FOCAL_NOTE, Status
 
 # Statuses of results that may be right, if the focal length is right.
 NOTED_STATUSES = ("converged", "iteration_limit", "uncertain", "two_motions")
@@ -61,8 +61,8 @@ class FocalEvidence:
         is_doubtful = origin != "stated" and status == "converged"
         return Status(
             "uncertain" if is_doubtful else str(status),
-            f"{status.message}. The result depends on the {origin} focal length, which the image "
-            f"motion does not show: another one would change {', '.join(texts)}. {advice}",
+            f"{status.message}. {FOCAL_NOTE} {origin} focal length, which the image motion does "
+            f"not show: another one would change {', '.join(texts)}. {advice}",
         )
 
     def largest_changes(self, max_size: float) -> tuple[float, float, float]:

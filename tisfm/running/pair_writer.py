@@ -20,6 +20,7 @@ from tisfm.report import REPORT, is_report
 from tisfm.running.pair_files import DEFAULT_OUTPUTS, Checksums, PairFiles, Ranges, check_outputs
 from tisfm.settings import FixedPixels, Settings
 from tisfm.show.stereo import DISPARITY
+from tisfm.status import FOCAL_NOTE
 from tisfm.version import __version__
 
 _RANGE_FIELDS = ("depth16", "depth", "flow", "screen")  # in the order of `RANGE_KEYS`
@@ -225,6 +226,18 @@ class PairWriter:
             if pair["status"] != "converged":
                 messages.setdefault(pair["status"], pair["message"])
         return messages
+
+    @property
+    def focal_note(self) -> str:
+        """How many converged pairs depend on the focal length, and why; "" without such pairs."""
+        messages = [
+            pair["message"] for pair in self._record.pairs.values() if pair["status"] == "converged"
+        ]
+        notes = [text[text.index(FOCAL_NOTE) :] for text in messages if FOCAL_NOTE in text]
+        if not notes:
+            return ""
+        count = f"{len(notes)} of {len(messages)} converged pairs"
+        return f"{count} depend on the focal length. Of the first: {notes[0]}"
 
     def expected_bytes(self, count: int) -> float:
         """Return the expected bytes of `count` pairs, from the first finished pair."""
