@@ -157,12 +157,16 @@ def test_the_time_of_a_run_is_estimated_once(monkeypatch):
         foretold.update(count, 1000)
         now[0] += 1.0 if count > 1 else 30.0  # kernels are compiled first
     assert told == ["1000 pairs: about 17 min to go, 1 a second"]
+    for count in range(40):  # the work begins again
+        foretold.update(count, 1000)
+        now[0] += 0.5
+    assert len(told) == 2 and told[1].endswith("2 a second")
     short = TimeEstimate("pairs")
     for count in range(1, 40):
         short.update(count, 50)
         short.update(count, None)
         now[0] += 1
-    assert len(told) == 1
+    assert len(told) == 2
 
 
 def test_the_time_of_a_sequence_is_estimated(frames, capsys, monkeypatch):

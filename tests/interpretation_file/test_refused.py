@@ -449,6 +449,7 @@ def test_history_that_no_run_has(saved, value, word):
         "message",
         "focal_deviation",
         "focal_effect",
+        "focal_spread",
     ],
 )
 def test_load_without_a_word_about(saved, name):

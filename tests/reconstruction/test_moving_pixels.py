@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 import tisfm
+from tests.exports.made import made
 from tests.reconstruction.films import path_error
 from tisfm.exports import SequenceFrames
 from tisfm.grade import Grade
+from tisfm.reconstruction.result.folder import write_labels
 from tisfm.reconstruction.result.path_check import PathCheck
 from tisfm.reconstruction.result.statuses import (
     NEW_PIECE_NOTE,
@@ -20,6 +22,7 @@ from tisfm.reconstruction.result.statuses import (
     mark_uncertain,
 )
 from tisfm.reconstruction.stages.moving_pixels import may_show_objects
+from tisfm.report.reconstruction_report import _report
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import Box, Plane, Scene, Texture
 from tisfm.status import Status
@@ -62,9 +65,16 @@ def drive():
 # Without the mask, the path is contradicted: the lorry would lie behind the camera.
 def test_lorry_that_drives_along_is_masked(tmp_path):
     frames, true_depth, labels, poses = drive()
+    reports = []
     result = tisfm.reconstruct(
-        frames, camera=CAMERA, settings=FAST, depth_of="keyframes", folder=tmp_path
+        frames,
+        camera=CAMERA,
+        settings=FAST,
+        depth_of="keyframes",
+        folder=tmp_path,
+        progress=lambda *report: reports.append(report),
     )
+    assert reports.count(("path", 0, len(frames))) == 2  # the search begins the stage again
     assert set(result.status) == {"converged"} and not result.objects
     assert path_error(result.poses, poses) < 0.01
     loaded = tisfm.Reconstruction.load(tmp_path)
@@ -79,6 +89,24 @@ def test_lorry_that_drives_along_is_masked(tmp_path):
         assert np.isinf(result.inverse_depth_std(frame)[masked]).all()
         ratio = (result.depth(frame) / true_depth[frame])[~masked]
         assert np.median(np.abs(ratio / np.median(ratio) - 1)) < 0.08  # measured: 0.065
+
+
+def test_masked_pixels_are_shown_and_have_no_motion_of_the_scene(tmp_path):
+    result = made(tmp_path, count=2)
+    assert "object" not in SequenceFrames(result).quantities
+    with pytest.raises(ValueError, match="no masked pixels that move"):
+        SequenceFrames(result).masks(0)
+    labels = np.zeros(result.shape, np.uint8)
+    labels[10:20, 20:30] = 1
+    write_labels(tmp_path, 0, labels)
+    write_labels(tmp_path, 1, 0 * labels)
+    frames = SequenceFrames(result)
+    frame, other = frames.read(0), frames.read(1)
+    assert "object" in frames.quantities and not other.labels.any()
+    np.testing.assert_array_equal(frame.labels, labels)
+    assert np.isnan(frame.flow[labels > 0]).all() and np.isfinite(frame.flow[20:]).any()
+    titles = {picture.title for picture in _report(result, tmp_path, None).slides[0].pictures}
+    assert "Pixels that move and are masked" in titles
 
 
 def contradicted_by(*names):

@@ -50,6 +50,8 @@ T = TypeVar("T")
 class TimeEstimate:
     """Prints the remaining time of a long command once, as soon as its speed is known.
 
+    If the count falls, the work begins again, and the time is estimated anew.
+
     Parameters
     ----------
     items : str
@@ -64,6 +66,8 @@ class TimeEstimate:
 
     def update(self, count: int, total: int | None) -> None:
         """Receive the numbers of finished items and of all items; None if unknown."""
+        if self._since is not None and count < self._first_count:
+            self._since, self._is_printed = None, False
         if self._is_printed or total is None or count < _FIRST_MEASURED_ITEM:
             return
         now = time.monotonic()

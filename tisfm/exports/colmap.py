@@ -80,8 +80,8 @@ def write_colmap(
     corner of a keyframe; its positions in other frames are measured in the images, to a fraction of
     a pixel, and the point minimises its distance to all of them. The camera is a ``PINHOLE``,
     because the frames have no distortion; image n + 1 is frame n of the reconstruction.
-    With ``motion="objects"``, ``masks/`` has masks for COLMAP, in which moving objects are black,
-    and moving objects have no points.
+    With ``motion="objects"``, or with masked pixels that move, ``masks/`` has masks for COLMAP, in
+    which what moves is black; it has no points.
 
     Parameters
     ----------

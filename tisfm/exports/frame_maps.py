@@ -219,7 +219,8 @@ def write_masks(
     ----------
     frames : ResultFrames
         For a reconstruction with ``motion="objects"``: ``at-rest`` has the static scene in white,
-        ``object-1`` and so on the moving object of this id. For pairs: ``visible`` has the pixels
+        ``object-1`` and so on the moving object of this id. For one with masked pixels that move:
+        ``at-rest``. For pairs: ``visible`` has the pixels
         in white that are visible in the next frame; with ``motion="objects"``, ``motion-0`` and so
         on the pixels with this motion, whose numbers have no meaning in other pairs.
     folder : path
@@ -237,7 +238,7 @@ def write_masks(
     Raises
     ------
     ValueError
-        If the result has no labels.
+        If the result has no labels and no masked pixels that move.
     OSError
         If a file cannot be written.
 

@@ -49,8 +49,8 @@ def write_nerfstudio(
     Cameras have the axes of OpenGL, X right, Y up, Z backward, in a world whose Z is up in the
     first frame of the piece; ``applied_transform`` leads there from the axes of the reconstruction.
     ``sparse_points.ply`` has the points of measured tracks, as for `write_colmap`, in the same
-    world: trainers initialise Gaussian splats with them. With ``motion="objects"``, ``masks/`` has
-    the static scene in white.
+    world: trainers initialise Gaussian splats with them. With ``motion="objects"``, or with masked
+    pixels that move, ``masks/`` has the static scene in white.
 
     Parameters
     ----------

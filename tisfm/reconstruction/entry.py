@@ -128,7 +128,8 @@ def reconstruct(
         `Reconstruction.save` keeps the result.
     progress : callable, optional
         Called as ``progress(stage, done, total)`` with the stage ``"reading"``, ``"path"`` or
-        ``"depth"``, and numbers of frames; the total is None if it is not known.
+        ``"depth"``, and numbers of frames; the total is None if it is not known. If pixels that
+        move on their own are searched, the stages ``"path"`` and ``"depth"`` come once more.
     report_depth : callable, optional
         Called as ``report_depth(frame, error)`` after the depth of each frame, with the number of
         the frame in the result and the expected relative error of its depth, as in

@@ -202,9 +202,11 @@ def _slide(
         Picture(title=_MOTION, url=motion),
         Picture(title=_DEVIATION, url=deviation),
     ]
-    if result.objects and frame.labels is not None and frame.labels.any():
+    is_masked = result.settings.motion == "camera"  # what moves has no depth of its own
+    if (result.objects or is_masked) and frame.labels is not None and frame.labels.any():
         overlay = label_overlay(frame.picture, frame.labels)
-        slide_pictures.append(Picture(title="Moving objects", url=pictures.url(overlay)))
+        title = "Pixels that move and are masked" if is_masked else "Moving objects"
+        slide_pictures.append(Picture(title=title, url=pictures.url(overlay)))
     piece, status = int(result.piece[number]), frame.status
     frame_note = f"piece {piece}" if piece >= 0 else "no pose"
     if piece >= 0 and not result.has_position[number]:

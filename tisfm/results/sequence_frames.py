@@ -104,7 +104,6 @@ class SequenceFrames:
     def read(self, number: int) -> ResultFrame:
         """Read everything about a frame."""
         result = self._result
-        has_labels = result.settings.motion == "objects"
         return ResultFrame(
             number=number,
             picture=as_rgb(self.picture(number)),
@@ -112,7 +111,7 @@ class SequenceFrames:
             inverse_depth=result.inverse_depth(number),
             inverse_depth_std=result.inverse_depth_std(number),
             status=result.status[number],
-            labels=result.labels(number) if has_labels else None,
+            labels=result.labels(number) if self._has_labels else None,
             motions=self._motions(number),
         )
 
@@ -141,9 +140,10 @@ class SequenceFrames:
 
     def masks(self, number: int) -> dict[str, NDArray[np.bool_]]:
         """Return the mask of the static scene, and of every moving object."""
-        if not (self._result.settings.motion == "objects" or has_labels(self.folder)):
+        if not self._has_labels:
             raise InputError(
-                f"{self.folder} has no labels of moving objects: reconstruct with --motion objects"
+                f"{self.folder} has no labels of moving objects, and no masked pixels that move: "
+                "reconstruct with --motion objects"
             )
         labels = self._result.labels(number)
         moving = {
@@ -174,7 +174,9 @@ class SequenceFrames:
         self.objects = result.objects
         self.poses, self.piece = result.poses, result.piece
         self.quantities: tuple[str, ...] = ("deviation",)
-        self.quantities += ("object",) if result.settings.motion == "objects" else ()
+        # Under "camera", labels are pixels that move on their own and are masked.
+        self._has_labels = result.settings.motion == "objects" or has_labels(self.folder)
+        self.quantities += ("object",) if self._has_labels else ()
 
     def _motions(self, number: int) -> dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]]:
         """Return motions relative to the camera until the next frame, by label; 0 is the scene.

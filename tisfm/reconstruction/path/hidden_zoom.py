@@ -74,7 +74,7 @@ def object_to_hidden_zoom(rate: float) -> str:
     if not rate:
         return ""
     return (
-        "the camera moves along its axis, and its tracks fit a zoom, of about "
-        f"{100 * rate:+.1f} % per frame, better than a constant focal length: depth is probably "
-        "wrong. Give frames without a zoom"
+        f"the tracks fit a zoom, of about {100 * rate:+.1f} % per frame, better than a constant "
+        "focal length: depth is probably wrong. Give frames without a zoom; if the camera does not "
+        "zoom, check the focal length and the lens"
     )

@@ -36,14 +36,15 @@ class RevisionSettings:
     max_focal_change: float = 0.05
     max_focal_deviations: float = 4.0  # standard deviations of this difference
     # hidden_zoom
-    # standard deviations by which a richer camera fits better: with less, no zoom is compared; a
+    # standard deviations by which a richer camera fits better: with less, no zoom is compared;
     # streets without a zoom have 3 to 4, and with 2 % a frame 5.8 to 8
     min_rich_gain: float = 4.5
-    # logarithms of zooms per frame that are compared with a constant focal length, in and out
+    # logarithms of zooms per frame that are compared with a constant focal length, in and out; each
+    # adjustment starts from the last one, so the small zooms lead to the large one
     hidden_zoom_rates: tuple[float, ...] = (0.005, 0.01, 0.02)
     hidden_zoom_steps: int = 25  # steps of each adjustment
-    # Standard deviations by which a zoom fits better than none: in half A, three rendered streets
-    # and a real drive without a zoom have at most 2.0, and streets with 2 % a frame 3.8 to 7.
+    # Standard deviations by which a zoom fits better than none: three rendered streets and a
+    # real drive without a zoom have at most 2.0, and streets with 2 % a frame 3.8 to 7.
     min_hidden_gain: float = 3.0
     # lens_revision
     # displacement at the corner of the frame, as a share of its radius, of the distortions that are

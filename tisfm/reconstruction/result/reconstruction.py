@@ -74,7 +74,8 @@ class Reconstruction(StoredFrames):
     objects : tuple of MovingObject
         Moving objects, with ``motion="objects"``, in the order of their labels.
     checks : tuple of PathCheck
-        For every piece, the checks of its path against the image motion; empty for chunks.
+        For every piece, the checks of its path against the image motion; a piece that is joined of
+        chunks has the checks of all of them.
 
     Examples
     --------

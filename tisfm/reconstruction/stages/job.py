@@ -37,7 +37,8 @@ class Job:
     depth_of: DepthOf = "all"  # the frames whose depth is estimated
     # known lengths of moving objects, by their ids
     object_sizes: Mapping[int, float] = field(default_factory=dict)
-    # whether a zoom is searched that the camera does not state
+    # whether is searched what the camera does not state: a zoom, a lens, or pixels that move on
+    # their own
     revises_camera: bool = False
     # whether given labels already belong to frames without distortion and readout effect
     are_labels_prepared: bool = False

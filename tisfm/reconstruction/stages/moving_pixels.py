@@ -46,6 +46,7 @@ def mask_moving_pixels(
     if not (job.revises_camera and _is_plain(first.path) and may_show_objects(checks)):
         return None
     frames = reading.frames
+    job.progress("path", 0, frames.count)  # the stage begins again
     camera = frames.camera
     min_positions = _count_positions(first.path)
 
