@@ -100,7 +100,7 @@ def judge_sequence(
     """Return the pieces of a result with their errors, and its outcome."""
     green = np.array([is_green(result, k) for k in range(len(result))])
     converged = np.array([status == "converged" for status in result.status])
-    relative = [_depth_error(result.depth(k), true) for k, true in enumerate(depth)]
+    relative = [_depth_error(_stated_depth(result, k), true) for k, true in enumerate(depth)]
     pieces = []
     for number in range(int(result.piece.max(initial=-1)) + 1):
         members = [int(k) for k in np.flatnonzero(result.piece == number)]
@@ -321,6 +321,12 @@ def has_second_motion(
         if angle > MIN_ANGLE and (normal[:, 0] @ rays > 0).mean() >= MIN_SHARE_IN_FRONT:
             return True
     return False
+
+
+def _stated_depth(result: tisfm.Reconstruction, frame: int) -> NDArray:
+    """Return the depth of a frame, NaN where it is filled: its deviation is infinite there."""
+    is_stated = np.isfinite(result.inverse_depth_std(frame))
+    return np.where(is_stated, result.depth(frame), np.float32(np.nan))
 
 
 def _expected(errors: Sequence[float]) -> float | None:

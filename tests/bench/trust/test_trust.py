@@ -35,6 +35,7 @@ def result_of(poses, depth, code="converged", error=0.02):
             "grades": property(lambda self: [self.grade(k) for k in range(count)]),
             "depth_error": np.full(count, error if np.isfinite(depth).any() else np.nan),
             "depth": lambda self, k: depth,
+            "inverse_depth_std": lambda self, k: np.where(np.isfinite(depth), 0.01, np.inf),
             "__len__": lambda self: count,
         },
     )()
