@@ -31,8 +31,8 @@ CHECKS = {
     "fixed": ("fixed_share", "max_fixed_share", True),
 }
 INTRODUCTION = f"""A result is wrong if a piece of its path is off by more than {MAX_ROTATION:g}° in
-rotation (largest of its frames), {100 * MAX_PATH:g} % of its length in position (root mean square after
-the best similarity), or {MAX_DIRECTION:g}° in the direction of motion in the axes of the
+rotation (largest of its frames), {100 * MAX_PATH:g} % of its length in position (root mean square
+after the best similarity), or {MAX_DIRECTION:g}° in the direction of motion in the axes of the
 camera, or if the median of its depth is off by more than {100 * MAX_DEPTH:g} % (each frame in
 its own scale; masked pixels, whose depth is filled and has an infinite deviation, do not
 count). A camera that only turns has no depth: stated depth is wrong then. A frame is green if
