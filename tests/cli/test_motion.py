@@ -236,7 +236,9 @@ def test_the_focal_length_is_guessed_for_camera_motion(tisfm_run, given, recwarn
     )
     assert code == 0
     line, *others = err.splitlines()
-    assert line.startswith("focal length guessed: 96 px (at 80×60), ") and len(others) == 1
+    assert line.startswith("focal length guessed: 96 px (at 80×60), ")
+    told, *advice = others
+    assert told.startswith("2 pairs: ") and all("guessed focal length" in text for text in advice)
     assert record("out")["camera"]["focal"] == load("out", "f1").camera.focal == 1.2 * W
     assert not recwarn
 

@@ -70,7 +70,7 @@ def test_the_folder_holds_the_promised_files(tisfm_run, film, work_folder, fusin
     told = re.fullmatch(
         rf"{COUNT} of {COUNT} frames have a pose, in 1 piece; (\d+) keyframes\. Grade [^\n]+ "
         r"\(worst\)\. Results in out\.\n"
-        r"(note: the result depends on the stated focal length[^\n]+\n)?",
+        r"(the result depends on the stated focal length[^\n]+\n)?",
         err,
     )
     assert told

@@ -25,15 +25,15 @@ def asked(monkeypatch):
     from tisfm import pair
 
     seen = []
-    original = pair.interpret_pair
+    original = pair.interpret
 
-    def interpret_pair(frame0, frame1, *, camera, settings, pose, **options):
+    def interpret(frame0, frame1, *, camera, settings, pose, fixed_pixels):
         seen.append((camera, pose))
         plain = replace(settings, motion="field")
         camera = camera or tisfm.Camera(1.2 * max(frame0.shape))
         return original(frame0, frame1, camera=camera, settings=plain)
 
-    monkeypatch.setattr(pair, "interpret_pair", interpret_pair)
+    monkeypatch.setattr(pair, "interpret", interpret)
     return seen
 
 

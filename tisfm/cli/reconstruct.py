@@ -412,7 +412,7 @@ def _tell(result: Reconstruction, output: Path) -> None:
         names_focal = calibration.seen and calibration.origin != "given"
         tell(f"focal length: {calibration.message}" if names_focal else calibration.message)
     if result.focal_note:
-        tell(f"note: {result.focal_note}")
+        tell(result.focal_note)
     if calibration.readout:
         tell(
             f"rolling shutter: the readout takes {calibration.readout:.2f} ± "

@@ -1,7 +1,9 @@
 """Pairs of consecutive frames."""
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -55,25 +57,32 @@ class FramePair:
         `tisfm.pair.interpret_pair`. `window`, for motion ``"field"``, contains the result of the
         previous pair, and after the call the result of this pair.
         """
-        from tisfm.pair import interpret_pair
+        from tisfm.pair import interpret, interpret_pair
 
         if camera is not None and camera.readout and self.interval > 1:
             camera = replace(camera, readout=camera.readout / self.interval)
         ignored = self.ignored0, self.ignored1
+        interpret_frames: Callable[..., Interpretation] = interpret
+        is_plain = self.scales_unit_range and all(mask is None for mask in ignored)
+        has_usual_origin = focal_origin in (None, "guessed" if camera is None else "stated")
         if window is not None:
             window.begin(self.interval)
+        if not is_plain or not has_usual_origin or window is not None:
+            interpret_frames = partial(
+                interpret_pair,
+                scales_unit_range=self.scales_unit_range,
+                ignored=ignored,
+                window=window,
+                focal_origin=focal_origin,
+            )
         try:
-            return interpret_pair(
+            return interpret_frames(
                 self.frame0,
                 self.frame1,
                 camera=camera,
                 settings=settings,
                 pose=self.pose,
-                ignored=ignored,
-                scales_unit_range=self.scales_unit_range,
-                window=window,
                 fixed_pixels=fixed_pixels,
-                focal_origin=focal_origin,
             )
         except (TypeError, ValueError) as error:
             error.args = (f"frames {self.name0} and {self.name1}: {error}",)
