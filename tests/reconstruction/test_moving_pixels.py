@@ -62,6 +62,10 @@ def drive():
     return np.rint(frames).clip(0, 255).astype(np.uint8), depth, labels, np.stack(poses)
 
 
+def loaded_labels(folder, number):
+    return tisfm.Reconstruction.load(folder).labels(number)
+
+
 # Without the mask, the path is contradicted: the lorry would lie behind the camera.
 def test_lorry_that_drives_along_is_masked(tmp_path):
     frames, true_depth, labels, poses = drive()
@@ -75,7 +79,11 @@ def test_lorry_that_drives_along_is_masked(tmp_path):
         progress=lambda *report: reports.append(report),
     )
     assert reports.count(("path", 0, len(frames))) == 2  # the search begins the stage again
-    assert set(result.status) == {"converged"} and not result.objects
+    assert set(result.status) <= {"converged", "uncertain"} and not result.objects
+    assert "converged" in result.status
+    for number, status in enumerate(result.status):  # beside a large lorry, depth is doubtful
+        share = (loaded_labels(tmp_path, number) > 0).mean()
+        assert (status == "uncertain") == (share > 0.35 and np.isfinite(result.depth_error[number]))
     assert path_error(result.poses, poses) < 0.01
     loaded = tisfm.Reconstruction.load(tmp_path)
     masks = SequenceFrames(loaded).masks(0)
@@ -85,7 +93,9 @@ def test_lorry_that_drives_along_is_masked(tmp_path):
         masked, lorry = loaded.labels(frame) > 0, labels[frame] == LORRY
         assert masked[lorry].mean() > 0.95 and masked[~lorry].mean() < 0.06
         assert f"{100 * masked.mean():.0f} % of the frame" in result.status[frame].message
-        assert result.grade(frame) == Grade.FAIR
+        assert result.grade(frame) == (
+            Grade.FAIR if result.status[frame] == "converged" else Grade.POOR
+        )
         assert np.isinf(result.inverse_depth_std(frame)[masked]).all()
         ratio = (result.depth(frame) / true_depth[frame])[~masked]
         assert np.median(np.abs(ratio / np.median(ratio) - 1)) < 0.08  # measured: 0.065
@@ -146,7 +156,8 @@ def test_status_says_how_much_of_a_frame_is_masked():
         Status("converged"), Status("converged", "a note"), Status("little_parallax", "x"),
         Status("no_pose", "few tracks"), ONLY_TURNS,
     ]  # fmt: skip
-    noted = add_mask_notes(statuses, [0, 0, 0, -1, 1], np.array([0.0, 0.25, 0.5, 0.5, 0.5]))
+    shares = np.array([0.0, 0.25, 0.5, 0.5, 0.5])
+    noted = add_mask_notes(statuses, [0, 0, 0, -1, 1], shares, np.zeros(5, bool))
     assert noted[0].message == "" and noted[3].message == "few tracks"
     assert noted[1].message.startswith("25 % of the frame moves on its own and is masked")
     assert noted[1].message.endswith("; a note") and noted[2].message.endswith("; x")
@@ -154,7 +165,8 @@ def test_status_says_how_much_of_a_frame_is_masked():
 
 
 def test_later_marks_keep_the_note_on_masked_pixels():
-    (noted,) = add_mask_notes([add_piece_note(Status("converged"))], [0], np.array([0.3]))
+    first = add_piece_note(Status("converged"))
+    (noted,) = add_mask_notes([first], [0], np.array([0.3]), np.array([False]))
     (rough,) = mark_uncertain([noted], np.array([0.4]))
     (wrong,) = mark_contradicted([rough], [0], [contradicted_by("residual", "behind")], {0: "fog"})
     for status, code in ((rough, "uncertain"), (wrong, "contradicted")):
@@ -162,3 +174,12 @@ def test_later_marks_keep_the_note_on_masked_pixels():
         assert status.message.startswith("30 % of the frame moves on its own and is masked: choose")
         assert status.message.endswith(NEW_PIECE_NOTE)
     assert find_cause(wrong) == "fog"
+
+
+@pytest.mark.parametrize(("share", "has_depth"), [(0.4, True), (0.4, False), (0.2, True)])
+def test_depth_beside_much_that_moves_is_uncertain(share, has_depth):
+    status = Status("converged")
+    (noted,) = add_mask_notes([status], [0], np.array([share]), np.array([has_depth]))
+    is_doubtful = share > 0.35 and has_depth
+    assert noted == ("uncertain" if is_doubtful else "converged")
+    assert ("the depth of the rest is uncertain" in noted.message) == is_doubtful

@@ -149,8 +149,16 @@ GOOD = PairEvidence(
 
 def check_of(fixed_share=0.0, infinity_motion=5.0, **changes):
     """Return the check of a path with one pair, whose evidence is good but for the changes."""
+    if "zoom" in changes:
+        changes = {"zoom_gain": 1.2} | changes
     pair = replace(GOOD, **changes)
     return PathCheck(pairs=(pair,), fixed_share=fixed_share, infinity_motion=infinity_motion)
+
+
+def test_a_zoom_that_does_not_lower_the_residual_is_no_objection():
+    """Any zoom fits the motion of a plane."""
+    assert check_of(zoom=0.01).objections == ("zoom",)
+    assert not check_of(zoom=0.01, zoom_gain=1.01).objections
 
 
 def test_a_sequence_that_depends_on_its_stated_focal_length_says_so():

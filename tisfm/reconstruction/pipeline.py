@@ -6,6 +6,8 @@ and depth are too large for memory: they are stored in the folder of the result.
 
 from dataclasses import replace
 
+import numpy as np
+
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.reconstruction.result.statuses import add_mask_notes
 from tisfm.reconstruction.stages.checks import check_pieces
@@ -31,7 +33,9 @@ def reconstruct_sequence(job: Job) -> Reconstruction:
         path_result = masked.result
         calibration = find_calibration(job, reading, path_result)
         depth = find_depth(job, reading, path_result.path, calibration.relative_focal_std)
-        statuses = add_mask_notes(depth.status, depth.piece.tolist(), masked.moving_shares)
+        statuses = add_mask_notes(
+            depth.status, depth.piece.tolist(), masked.moving_shares, np.isfinite(depth.error)
+        )
         depth = replace(depth, status=statuses)
         checks = check_pieces(job, reading.frames, path_result.path, depth)
     if job.revises_camera:

@@ -6,7 +6,7 @@ from types import MappingProxyType
 import numpy as np
 
 from tisfm.grade import GRADES, percent
-from tisfm.reconstruction.result.path_check import PathCheck
+from tisfm.reconstruction.result.path_check import LIMITS, PathCheck
 from tisfm.status import Status
 
 NEW_PIECE_NOTE = (
@@ -59,17 +59,24 @@ def add_mask_notes(
     statuses: Sequence[Status],
     pieces: Sequence[int],  # piece of each frame, −1 for none
     moving_shares: np.ndarray,  # (N,): share of the pixels of each frame that move and are masked
+    has_depth: np.ndarray,  # (N,) bool: frames with depth
 ) -> tuple[Status, ...]:
     """Return the statuses of frames; those with a pose say how much moves and is masked.
 
-    `mark_contradicted` and `mark_uncertain` keep the note.
+    Depth is uncertain if much of a frame moves. `mark_contradicted` and `mark_uncertain` keep the
+    note.
     """
     noted = []
-    for status, piece, share in zip(statuses, pieces, moving_shares.tolist(), strict=True):
+    parts = zip(statuses, pieces, moving_shares.tolist(), has_depth.tolist(), strict=True)
+    for status, piece, share, depth in parts:
         if piece >= 0 and share > 0:
             note = percent(share) + _MOVING_TEXT
             note += "" if status == ONLY_TURNS else _MOVING_ADVICE
-            status = Status(str(status), "; ".join(filter(None, [note, status.message])))
+            is_doubtful = depth and share > LIMITS.max_moving_share and status == "converged"
+            if is_doubtful:
+                note += "; so much moves that the depth of the rest is uncertain"
+            code = "uncertain" if is_doubtful else str(status)
+            status = Status(code, "; ".join(filter(None, [note, status.message])))
         noted.append(status)
     return tuple(noted)
 
