@@ -122,6 +122,8 @@ def test_ranges_are_those_of_the_middle_frame():
 class Frames:
     """A result of so many frames, which counts how often they are read."""
 
+    focal_note = "the result depends on <it>"
+
     def __init__(self, count):
         self.names, self.read_ones = [f"<a>{k}" for k in range(count)], []
         self.grades, self.depth_errors = [Grade.FAIR] * count, [0.05] * count
@@ -173,6 +175,7 @@ def test_texts_escape_names_and_tell_faults():
     text = status_html(Frames(3), frame, 1)
     assert "&lt;a&gt;1" in text and "move &lt;more&gt;" in text and "no pose" in text
     assert "2 of 3" in text and "0.500 s" in text and "fair, off by 5 %" in text
+    assert "depends on &lt;it&gt;" in text
     assert "it is gone" in status_html(Frames(3), None, 1, "it is gone")
 
 
