@@ -99,7 +99,7 @@ def depth_error(
     deviation: np.ndarray,
     # relative standard deviation of the focal length; infinite for a guess
     focal_deviation: float = 0.0,
-    # relative error of depth over that of the focal length; None for what is usual
+    # relative error of depth over relative error of the focal length; None for the usual effect
     focal_effect: float | None = None,
 ) -> tuple[float, float]:
     """Return the expected relative error of the depth of a frame, and the share of good pixels.

@@ -142,8 +142,8 @@ CLIPS = (
     Clip(folder="tartanair"),
     Clip(folder="hololens", start=2),
     Clip(folder="new_tsukuba", step=2),
-    # COLMAP 4 (SIFT, whole frames, the same focal length) differs from the true positions by
-    # 5.8 mm, and from those of tisfm by 1.3 mm; the path is 237 mm long.
+    # Positions of COLMAP 4 (SIFT, whole frames, the same focal length) are 5.8 mm off the truth;
+    # positions of tisfm are 1.3 mm off COLMAP's. The path is 237 mm long.
     Clip(folder="sevenscenes", start=28, step=2, gap=2, truth_deviation=0.0058),
     Clip(folder="fountain", count=11),
     Clip(folder="kitti_odometry_06", size=480),

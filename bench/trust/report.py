@@ -47,7 +47,7 @@ because of such a fault, and its message says that it depends on the stated foca
 the image motion does not show. The true positions of sevenscenes are inexact: COLMAP differs
 from them by 5.8 mm, 2.4 % of the length of the path, and from tisfm by 1.3 mm. The limit of
 that path is 3.2 %, the root of the sum of the squares.""".replace("\n", " ")
-# Faults of the camera that a message may name, and what it says then.
+# Faults of the camera that a message may name, and the words that name them.
 CAMERA_FAULTS = ("focal", "zoom", "lens")
 NAMES_CAMERA = (
     "contradicts the camera", "focal length that is", "fit a zoom", "focal length changes",

@@ -199,9 +199,9 @@ def test_a_distortion_is_undone(k1, radius):
 def test_derivatives_by_the_camera(parameter):
     rays, pose = rays_of(SIDEWAYS, noise=0.2)
     step = 1e-5
-    around = [Cameras.of(parameter, [value], [pose]) for value in (-step, step)]
+    around = [Cameras.of([parameter], [value], [pose]) for value in (-step, step)]
     before, after = (find_points(rays, cameras).distance[0] for cameras in around)
-    stated = Cameras.of(parameter, [0.0], [pose])
+    stated = Cameras.of([parameter], [0.0], [pose])
     expected = -(after - before) / (2 * step)
     if parameter == "focal":  # the scale of px does not count
         expected += find_points(rays, stated).distance[0]

@@ -62,10 +62,6 @@ def drive():
     return np.rint(frames).clip(0, 255).astype(np.uint8), depth, labels, np.stack(poses)
 
 
-def loaded_labels(folder, number):
-    return tisfm.Reconstruction.load(folder).labels(number)
-
-
 # Without the mask, the path is contradicted: the lorry would lie behind the camera.
 def test_lorry_that_drives_along_is_masked(tmp_path):
     frames, true_depth, labels, poses = drive()
@@ -81,11 +77,11 @@ def test_lorry_that_drives_along_is_masked(tmp_path):
     assert reports.count(("path", 0, len(frames))) == 2  # the search begins the stage again
     assert set(result.status) <= {"converged", "uncertain"} and not result.objects
     assert "converged" in result.status
+    loaded = tisfm.Reconstruction.load(tmp_path)
     for number, status in enumerate(result.status):  # beside a large lorry, depth is doubtful
-        share = (loaded_labels(tmp_path, number) > 0).mean()
+        share = (loaded.labels(number) > 0).mean()
         assert (status == "uncertain") == (share > 0.35 and np.isfinite(result.depth_error[number]))
     assert path_error(result.poses, poses) < 0.01
-    loaded = tisfm.Reconstruction.load(tmp_path)
     masks = SequenceFrames(loaded).masks(0)
     np.testing.assert_array_equal(masks.pop("at-rest"), loaded.labels(0) == 0)
     assert not masks

@@ -178,9 +178,7 @@ def _find_fixed_pixels(
 def _refit_on_finer_flow(
     pyramid: ImagePyramid, settings: Settings, start: FirstMotion, pose: KnownPose | None
 ) -> tuple[np.ndarray, Status | None, FocalEvidence | None]:
-    """Return the motion of a flow field on the last level, and the doubt about this motion.
-
-    The last part is what this flow field says about the focal length.
+    """Return the motion of a flow field on the last level, its doubt, and its focal evidence.
 
     The first motion stays if this flow field shows no motion. Depth carried across textureless
     surfaces does not refine the motion, so the motion has to be right.

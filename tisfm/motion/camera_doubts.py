@@ -40,11 +40,11 @@ def examine_camera(
             "distortion, or move the camera between the frames",
         )
         return doubt, evidence
-    direction_deviation = measure_direction_deviation(sample, pose)
     significant = [search for search in searches if _is_better(sample, pose, search)]
     if significant:
         best = max(significant, key=lambda search: search.gain)
         return _contradicted_status(best), evidence
+    direction_deviation = measure_direction_deviation(sample, pose)
     if direction_deviation > INTRINSICS.max_direction_deviation:
         doubt = Status(
             "uncertain",

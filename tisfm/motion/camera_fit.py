@@ -3,6 +3,7 @@
 All M cameras are computed at once: arrays have one row for each of them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -46,10 +47,12 @@ class Cameras:
     translations: np.ndarray  # (M, 3): ‖t‖ = 1
 
     @classmethod
-    def of(cls, parameter: Parameter, values: list[float], poses: list[Pose]) -> "Cameras":
-        """Return cameras with several values of one parameter, and a motion for each."""
+    def of(
+        cls, parameters: Sequence[Parameter], values: Sequence[float], poses: Sequence[Pose]
+    ) -> "Cameras":
+        """Return cameras with a parameter, its value, and a motion for each."""
         return cls(
-            parameters=(parameter,) * len(values),
+            parameters=tuple(parameters),
             values=np.array(values),
             rotations=np.stack([rotation for rotation, _ in poses]),
             translations=np.stack([translation for _, translation in poses]),

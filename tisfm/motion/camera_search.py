@@ -85,8 +85,7 @@ def search_cameras(
     The focal length comes first.
     """
     parameters = PARAMETERS[:1] if focal_only else PARAMETERS
-    stated = Cameras.of("focal", [0.0] * len(parameters), [pose] * len(parameters))
-    stated = replace(stated, parameters=parameters)
+    stated = Cameras.of(parameters, [0.0] * len(parameters), [pose] * len(parameters))
     tried = _follow(rays, pose, parameters) + _try_other_motions(rays, pose, rotation)
     tried = stated + improve_cameras(rays, tried, is_free=False)[0]
     points = find_points(rays, tried)
@@ -145,10 +144,8 @@ def _follow(rays: Rays, pose: Pose, parameters: tuple[Parameter, ...]) -> Camera
     The smallest values of a parameter come first.
     """
     signs = np.array([1.0, -1.0])
-    names = tuple(name for name in parameters for _ in signs)
-    current = replace(
-        Cameras.of("focal", [0.0] * len(names), [pose] * len(names)), parameters=names
-    )
+    names = [name for name in parameters for _ in signs]
+    current = Cameras.of(names, [0.0] * len(names), [pose] * len(names))
     found = current.select(np.array([], np.intp))
     for step in range(max(map(len, STEPS.values()))):
         rows = [row for row, name in enumerate(current.parameters) if step < len(STEPS[name])]
@@ -178,7 +175,7 @@ def _try_other_motions(rays: Rays, pose: Pose, rotation: np.ndarray) -> Cameras:
             poses += plane_poses(scale @ homography @ np.linalg.inv(scale), changed)
         starts += poses
         values += [value] * len(poses)
-    cameras = Cameras.of("focal", values, starts)
+    cameras = Cameras.of(["focal"] * len(values), values, starts)
     for _ in range(INTRINSICS.other_iterations):
         cameras, _ = improve_cameras(rays, cameras, is_free=False)
     return cameras

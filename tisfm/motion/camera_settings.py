@@ -53,7 +53,6 @@ class IntrinsicsSettings:
     max_undistortion: float = 3.0  # largest factor of a point without the distortion
     other_iterations: int = 3  # iterations of a motion that is far from the stated camera's
     joint_iterations: int = 6  # iterations of motion and value, from the best value
-    min_change: float = 0.02  # standard deviations: a smaller change of the value ends them
     # standard deviations of a value from 0, and by which it explains the rays better
     min_significance: float = 2.5
     min_gain: float = 2.3
@@ -73,8 +72,8 @@ class IntrinsicsSettings:
     max_depth_change: float = 0.10
     max_direction_change: float = 0.14
     max_rotation_change: float = 0.035  # rad, by such a focal length
-    # degrees: standard deviation of the direction of motion; at most 4.1 of right pairs, and 4.5 of
-    # wrong ones
+    # degrees: standard deviation of the direction of motion; right pairs have at most 3.8, wrong
+    # pairs 4.5 and more
     max_direction_deviation: float = 4.3
     min_direction_residual: float = 0.005  # px of the level: smaller residuals count as this
     turn_iterations: int = 8  # iterations of the fit of a turn
@@ -87,9 +86,7 @@ class IntrinsicsSettings:
     # residual of a turn with any camera divided by that of the motion: at most 1.7 for turns, 4.1
     # and more if the camera moved
     max_turn_residual: float = 2.5
-    min_turn_residual: float = (
-        0.01  # px of the level: smaller residuals of the motion count as this
-    )
+    min_turn_residual: float = 0.01  # px of the level: smaller residuals count as this
     # residual of this turn divided by the parallax that the stated camera needs
     max_turn_share: float = 0.35
     # misfit

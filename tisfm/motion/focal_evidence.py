@@ -29,8 +29,8 @@ class FocalEvidence:
     value_deviation: float
     is_significant: bool  # whether this focal length explains the rays clearly better
     depth_effect: float  # relative change of depth over relative change of the focal length
-    # other focal lengths that the rays allow, as the size of their logarithm over the stated one,
-    # and what they change, (M,) each
+    # (M,): other focal lengths that the rays allow, as the size of their logarithm over the stated
+    # focal length; and the changes that they cause
     sizes: np.ndarray
     changes: Changes
 

@@ -121,7 +121,7 @@ def test_cases_have_their_own_names_and_scenes_one_half():
 
 @pytest.fixture(autouse=True)
 def store(tmp_path, monkeypatch):
-    """Keep the films of tests apart from those of the user."""
+    """Keep the films of tests apart from the user's films."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     return tmp_path / film_store.FOLDER
 

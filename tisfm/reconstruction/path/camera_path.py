@@ -25,8 +25,8 @@ class CameraPath:
     camera: Camera
     # the estimate, if the focal length was to be estimated and a path was found
     focal: FocalEstimate | None = None
-    # With a rolling shutter: the motion during readout. Poses, points and tracks are those of
-    # middle rows.
+    # With a rolling shutter: the motion during readout. Poses, points and tracks hold at the middle
+    # rows.
     rolling: RollingShutterMotion | None = None
     # (N,) float64: focal length of each frame over that of the first frame; None if it is constant.
     # Poses, points and tracks belong to the focal length of the first frame.

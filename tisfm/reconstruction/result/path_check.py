@@ -206,7 +206,7 @@ class PathCheck:
         deviations = np.array([pair.zoom_deviation for pair in self.pairs]) / np.abs(steps)
         weights = 1 / deviations**2
         mean = (zooms * weights).sum() / weights.sum()
-        # Pairs that contradict each other, as those of a plane do, show no zoom.
+        # Pairs that contradict each other show no zoom: pairs of a plane do so.
         scatter = np.sqrt((weights * (zooms - mean) ** 2).sum() / max(len(zooms) - 1, 1))
         return float(np.median(zooms)), float(mean * np.sqrt(weights.sum()) / max(scatter, 1.0))
 

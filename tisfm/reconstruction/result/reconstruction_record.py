@@ -1,4 +1,4 @@
-"""Poses, statuses and grades of the frames of a sequence: what is known without their depth."""
+"""Poses, statuses and grades of the frames of a sequence, without their depth maps."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field

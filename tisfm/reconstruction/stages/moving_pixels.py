@@ -57,7 +57,7 @@ def mask_moving_pixels(
             return path
         return first.path
 
-    # The first path has neither a lens nor a readout: none is searched again.
+    # The first path has no lens and no readout, so the second search looks for neither.
     frames.camera = replace(reading.camera.used_camera.pinhole(), readout=0.0)
     job = replace(job, revises_camera=False)
     result = solve_path(job, reading, SequenceLabels.of_frames(frames), choose)
