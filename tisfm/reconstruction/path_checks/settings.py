@@ -31,9 +31,7 @@ class PathCheckSettings:
     min_pixels: int = 500  # textured pixels of a pair
     max_rays: int = 6000  # rays of a pair, or up to twice as many
     match_window: int = 7  # px: side of the neighbourhood that is compared
-    texture_floor: float = (
-        1.0  # grey levels per px that are added to the texture of a neighbourhood
-    )
+    texture_floor: float = 1.0  # grey levels per px that are added to the texture
     # difference between neighbourhoods over the usual difference: hidden pixels, or a wrong flow
     max_relative_shift: float = 3.0
     min_usual_shift: float = 0.1  # px: smaller usual differences are equally good
