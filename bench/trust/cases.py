@@ -81,7 +81,8 @@ def _of(kind: str, *strengths: float) -> list[Disturbance]:
 CLEAN = (
     "room 0", "room 1", "room 2", "room 3", "bare room 0", "yard 0", "yard 1", "yard 2", "yard 3",
     "street 0", "street 1", "street 2", "street 3", "table 0", "floor", "wobbling floor",
-    "slanted wall", "tilted floor", "poster 0", "sparse 0", "sparse 1", "sparse 2", "sparse 3",
+    "slanted wall", "tilted floor", "shaded floor", "blurred desk", "approached wall",
+    "passed facade", "poster 0", "sparse 0", "sparse 1", "sparse 2", "sparse 3",
     "tiles 0", "tiles 1",
     "mirror hall 0", "mirror hall 1",
 )  # fmt: skip

@@ -38,6 +38,21 @@ class Repeated(Texture):
         return np.asarray(self.mean + self.contrast * 0.75 * fade * pattern, np.float32)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Shaded(Texture):
+    """A texture with soft shadows, as of trees, that rest on the surface."""
+
+    shadow_size: float  # length
+
+    def _grey(
+        self, s: NDArray, t: NDArray, footprint: NDArray, face: int = 0
+    ) -> NDArray[np.float32]:
+        x, y = (2 * math.pi * c / self.shadow_size for c in (s, t))
+        pattern = np.sin(x + 1.3 * np.sin(0.7 * y)) + np.sin(0.6 * x - 0.9 * y)
+        light = 1 - 0.5 / (1 + np.exp(-4 * pattern))
+        return np.asarray(super()._grey(s, t, footprint, face) * light, np.float32)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mirror:
     """A mirror on a wall: a box whose surface shows the room in front of it."""
@@ -184,12 +199,38 @@ def table(seed: int) -> World:
     return World(name=f"table {seed}", surfaces=tuple(surfaces), poses=poses, focal=focal)
 
 
-def plane(name: str, normal: Vector, velocity: Vector, *, wobble: float, seed: int) -> World:
+def plane(
+    name: str,
+    normal: Vector,
+    velocity: Vector,
+    *,
+    wobble: float,
+    seed: int,
+    focal: float = 320.0,  # px
+    texture: Texture | None = None,
+) -> World:
     """Return a single textured plane at a distance of 5."""
-    focal = 320.0
-    wall = Plane(texture=paint(5, focal, seed), point=(0, 0, 5), normal=normal)
+    wall = Plane(texture=texture or paint(5, focal, seed), point=(0, 0, 5), normal=normal)
     poses = smooth_path(seed, velocity, wobble=wobble)
     return World(name=name, surfaces=(wall,), poses=poses, focal=focal)
+
+
+def shaded_floor() -> World:
+    """Return a floor with shadows, which a camera comes down to."""
+    texture = Shaded(wavelength=0.06, mean=120, contrast=60, seed=1005, shadow_size=2.2)
+    return plane(
+        "shaded floor", (0.35, -0.3, -0.89), (0.01, 0.015, 0.14), wobble=0.022, seed=5, focal=430,
+        texture=texture,
+    )  # fmt: skip
+
+
+def blurred_desk() -> World:
+    """Return a plane with a coarse, weak texture."""
+    texture = Texture(wavelength=0.13, mean=120, contrast=35, seed=1008)
+    return plane(
+        "blurred desk", (0.05, -0.25, -0.97), (0.09, 0.05, 0.03), wobble=0.018, seed=8, focal=300,
+        texture=texture,
+    )  # fmt: skip
 
 
 def poster(seed: int) -> World:
@@ -328,6 +369,14 @@ MAKERS: dict[str, Callable[[], World]] = {
     ),
     "tilted floor": lambda: plane(
         "tilted floor", (0, -0.7, -0.7), (0.05, 0, 0.1), wobble=0.006, seed=4
+    ),
+    "shaded floor": shaded_floor,
+    "blurred desk": blurred_desk,
+    "approached wall": lambda: plane(
+        "approached wall", (0.3, 0.2, -0.93), (0.005, -0.01, 0.13), wobble=0.015, seed=6, focal=290
+    ),
+    "passed facade": lambda: plane(
+        "passed facade", (0.7, 0.1, -0.71), (0.11, 0.02, 0.06), wobble=0.012, seed=7, focal=460
     ),
     "poster 0": lambda: poster(0),
     **{f"sparse {k}": lambda k=k: sparse(k) for k in range(6)},  # type: ignore[misc]

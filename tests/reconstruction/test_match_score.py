@@ -13,7 +13,7 @@ from tests.reconstruction.test_coverage import (
     projected,
     view_of,
 )
-from tisfm.reconstruction.mapping.incremental import first_pair_tolerance
+from tisfm.reconstruction.mapping.first_pairs import first_pair_tolerance
 from tisfm.reconstruction.mapping.model_scores import MatchScorer, half_line_distances
 
 REST = np.eye(4)[:3]

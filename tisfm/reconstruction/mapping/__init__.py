@@ -1,5 +1,5 @@
 """Camera poses and sparse points of views, found and adjusted by pycolmap.
 
-May import: `camera`, `reconstruction.geometry`, `reconstruction.result` and
+May import: `camera`, `rigid`, `reconstruction.geometry`, `reconstruction.result` and
 `reconstruction.tracks`.
 """

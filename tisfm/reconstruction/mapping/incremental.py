@@ -3,22 +3,17 @@
 Views have pycolmap's ids, which begin with 1.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from typing import Any, Protocol
 
 import numpy as np
 
 from tisfm.reconstruction.mapping.database import pycolmap
-from tisfm.reconstruction.mapping.parallax import (
-    LowParallaxFilter,
-    epipolar_angles,
-    homography_residuals,
-    rotation_residuals,
-)
+from tisfm.reconstruction.mapping.first_pairs import FirstPairs, Pairs, first_pair_tolerance
+from tisfm.reconstruction.mapping.parallax import LowParallaxFilter
+from tisfm.reconstruction.mapping.plane_motion import find_other_motion
 from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.result.calibration import Calibrate
-
-Pairs = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
 
 
 class Scorer(Protocol):
@@ -36,7 +31,6 @@ class Scorer(Protocol):
 
 def grow_models(
     database: Any,
-    # by pair of view ids: unit directions to the matching points in both views, two (N, 3) arrays
     pairs: Pairs,
     count: int,  # number of views
     scorer: Scorer,  # it compares models that begin with different pairs
@@ -50,12 +44,14 @@ def grow_models(
     """Return pycolmap's reconstructions of the views in a database, the largest first."""
     cache, mapper, options = _open_mapper(database, calibrate)
     remaining = set(range(1, count + 1)) & set(cache.images)
-    first_pairs = _FirstPairs(pairs, is_focal_known)
+    first_pairs = FirstPairs(pairs, is_focal_known)
     models = []
     while len(remaining) >= MAPPING.min_views:
         model = _build_model(mapper, scorer, options, first_pairs, remaining)
         if model is None:
             break
+        if calibrate == "nothing":
+            model = _choose_motion(cache, mapper, scorer, options, model, remaining)
         remaining -= set(model.reg_image_ids())
         models.append(model)
     return sorted(models, key=lambda model: (-model.num_reg_images(), min(model.reg_image_ids())))
@@ -74,11 +70,27 @@ def grow_from_poses(
     """Return pycolmap's reconstruction, continued from views with known poses."""
     cache, mapper, options = _open_mapper(database)
     options.mapper.fix_existing_frames = are_poses_fixed
-    model = pycolmap().Reconstruction()
-    model.load(cache)
     known_poses = {
         view_id: pose for view_id, pose in known_poses.items() if view_id in cache.images
     }
+    others = set(cache.images) if allowed_views is None else set(cache.images) & set(allowed_views)
+    return _continue_from(
+        cache, mapper, options, known_poses, others, are_poses_fixed=are_poses_fixed
+    )
+
+
+def _continue_from(
+    cache: Any,
+    mapper: Any,
+    options: Any,
+    known_poses: Mapping[int, np.ndarray],  # as for `grow_from_poses`
+    allowed_views: Collection[int],
+    *,
+    are_poses_fixed: bool,
+) -> Any:
+    """Return a reconstruction with views of known poses, and other allowed views."""
+    model = pycolmap().Reconstruction()
+    model.load(cache)
     if len(known_poses) < 2:  # the other views with known poses share no points with any view
         return model
     for view_id, pose in known_poses.items():
@@ -87,8 +99,8 @@ def grow_from_poses(
     mapper.begin_reconstruction(model)
     for view_id in known_poses:
         mapper.triangulate_image(options.triangulation, view_id)
-    others = set(cache.images) if allowed_views is None else set(cache.images) & set(allowed_views)
-    _add_views(mapper, model, options, others - set(known_poses), is_rough=not are_poses_fixed)
+    others = set(allowed_views) - set(known_poses)
+    _add_views(mapper, model, options, others, is_rough=not are_poses_fixed)
     mapper.end_reconstruction(False)
     return model
 
@@ -103,7 +115,7 @@ def shows_parallax(
     If few pairs show parallax, matching errors determine the focal length and the path.
     """
     _, mapper, options = _open_mapper(database)
-    first_pairs = _FirstPairs(pairs, is_focal_known=True)
+    first_pairs = FirstPairs(pairs, is_focal_known=True)
     return first_pairs.parallax_share(mapper, options) >= MAPPING.min_parallax_pairs
 
 
@@ -118,90 +130,8 @@ def _open_mapper(database: Any, calibrate: Calibrate = "nothing") -> tuple[Any, 
     return cache, pycolmap().IncrementalMapper(cache), options
 
 
-def first_pair_tolerance(
-    longer_side: float,  # longer side of the frames, px
-) -> float:
-    """Return the largest error, px, of a match of a first pair."""
-    return MAPPING.first_pair_tolerance * max(1.0, longer_side / MAPPING.tolerance_frame)
-
-
-class _FirstPairs:
-    """Selects the pairs of views from which a path may begin."""
-
-    def __init__(self, pairs: Pairs, is_focal_known: bool) -> None:  # as for `grow_models`
-        self._pairs, self._is_focal_known = pairs, is_focal_known
-        self._residual_angles = rotation_residuals if is_focal_known else homography_residuals
-        self._ranked_pairs = self._rank()
-
-    def candidates(
-        self, mapper: Any, options: Any, remaining: set[int], used_views: Sequence[int]
-    ) -> Iterator[tuple[int, int, Any]]:
-        """Yield pairs of remaining views, with the motion from the first to the second.
-
-        Pairs near `used_views` are left out. The caller may extend this list between two pairs.
-        """
-        pairs = [pair for pair in self._ranked_pairs if remaining.issuperset(pair)]
-        min_distance = min(
-            max(MAPPING.min_pair_distance_share * len(remaining), 1), MAPPING.max_pair_distance
-        )
-        for angle in MAPPING.first_pair_angles:
-            options.mapper.init_min_tri_angle = angle
-            for pair in pairs[: MAPPING.max_first_pairs]:
-                if any(
-                    abs(view - used_view) < min_distance
-                    for view in pair
-                    for used_view in used_views
-                ):
-                    continue
-                motion = mapper.estimate_initial_two_view_geometry(options.mapper, *pair)
-                if motion is not None and self._has_parallax(motion.matrix(), *pair):
-                    yield *pair, motion
-
-    def parallax_share(self, mapper: Any, options: Any) -> float:
-        """Return the share, from 0 to 1, of the best pairs from which a path may begin.
-
-        Pairs whose matches fit no motion are left out of the count.
-        """
-        options.mapper.init_min_tri_angle = MAPPING.first_pair_angles[-1]
-        has_parallax = []
-        for pair in self._ranked_pairs[: MAPPING.max_first_pairs]:
-            motion = mapper.estimate_initial_two_view_geometry(options.mapper, *pair)
-            if motion is not None:
-                has_parallax.append(self._has_parallax(motion.matrix(), *pair))
-        return float(np.mean(has_parallax)) if has_parallax else 0.0
-
-    def _rank(self) -> list[tuple[int, int]]:
-        """Return the pairs with enough matches and parallax, in decreasing order of both."""
-        weights = {}
-        for pair, (before, after) in self._pairs.items():
-            if len(before) >= 2 * MAPPING.min_observations:
-                angles = self._residual_angles(before, after)
-                if np.median(angles) > MAPPING.min_parallax:
-                    weights[pair] = len(before) * min(
-                        float(np.quantile(angles, MAPPING.parallax_quantile)), MAPPING.max_parallax
-                    )
-        return sorted(weights, key=lambda pair: (-weights[pair], pair))
-
-    def _has_parallax(self, motion: np.ndarray, first: int, second: int) -> bool:
-        """Return whether a motion, (3, 4), explains directions much better than simpler motions.
-
-        The required ratios exceed 1, because a motion with a free depth for each point fits noise
-        better, too.
-        """
-        before, after = self._pairs[first, second]
-        epipolar_angle = float(np.median(epipolar_angles(np.eye(4)[:3], motion, before, after)))
-        homography_angle = float(np.median(homography_residuals(before, after)))
-        if not self._is_focal_known:
-            return homography_angle > MAPPING.min_homography_ratio_guessed * epipolar_angle
-        rotation_angle = float(np.median(rotation_residuals(before, after)))
-        return (
-            rotation_angle > MAPPING.min_rotation_ratio * epipolar_angle
-            and homography_angle > MAPPING.min_homography_ratio * epipolar_angle
-        )
-
-
 def _build_model(
-    mapper: Any, scorer: Scorer, options: Any, first_pairs: _FirstPairs, remaining: set[int]
+    mapper: Any, scorer: Scorer, options: Any, first_pairs: FirstPairs, remaining: set[int]
 ) -> Any | None:
     """Return a reconstruction of some of the remaining views, or None.
 
@@ -235,6 +165,24 @@ def _build_model(
         if is_accepted or len(used_views) >= 2 * MAPPING.max_first_pair_models:
             break
     return best_model
+
+
+def _choose_motion(
+    cache: Any, mapper: Any, scorer: Scorer, options: Any, model: Any, remaining: set[int]
+) -> Any:
+    """Return a model, or the model with the other motion of a plane, if it explains more matches.
+
+    A first pair of views of a plane allows two motions, and RANSAC may choose the wrong one.
+    """
+    view_ids = sorted(model.reg_image_ids())
+    poses = np.array([model.images[view_id].cam_from_world().matrix() for view_id in view_ids])
+    points = np.array([point.xyz for point in model.points3D.values()]).reshape(-1, 3)
+    other_poses = find_other_motion(poses, points)
+    if other_poses is None:
+        return model
+    known_poses = dict(zip(view_ids, other_poses, strict=True))
+    other = _continue_from(cache, mapper, options, known_poses, remaining, are_poses_fixed=False)
+    return max(model, other, key=scorer.score)
 
 
 def _add_views(

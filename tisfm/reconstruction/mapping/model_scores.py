@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from tisfm.reconstruction.geometry.rays import unit_vectors
 from tisfm.reconstruction.mapping.database import PIXEL_CENTRE
-from tisfm.reconstruction.mapping.incremental import first_pair_tolerance
+from tisfm.reconstruction.mapping.first_pairs import first_pair_tolerance
 from tisfm.reconstruction.mapping.parallax import epipolar_angles
 from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.tracks.views import View

@@ -34,7 +34,7 @@ class MappingSettings:
     # relative change of the squared residuals that ends an adjustment of neighbouring views
     local_tolerance: float = 1e-5
     min_triangulation_angle: float = 0.5  # degrees between the rays of a triangulated point
-    # incremental: first pairs
+    # first_pairs
     # degrees: smallest triangulation angles, tried in this order; a car that drives forward gives
     # only small angles
     first_pair_angles: tuple[float, float, float] = (4.0, 1.0, 0.5)
@@ -97,6 +97,16 @@ class MappingSettings:
     max_focal_ratio: float = 2.0  # largest value of the same ratio
     # distance between two views that show a point, divided by the median depth of one view
     min_baseline: float = 0.02
+    # plane_motion
+    plane_rounds: int = 10  # reweighted rounds of the fit of a plane
+    # median distance of points from their plane, as a share of the depth: rendered planes had
+    # 0.001 to 0.01, with the right motion and with the wrong one
+    max_plane_residual: float = 0.02
+    # extent of the path across its main direction, as a share of its length: a longer path has no
+    # second motion
+    max_sideways_share: float = 0.3
+    # share of the points that the plane of the second motion has to be in front of
+    min_share_before_plane: float = 0.9
     # solution: standard deviations of the focal length, relative
     # with a larger deviation, the motion hardly shows the focal length
     max_certain_deviation: float = 0.05
