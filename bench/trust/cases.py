@@ -28,6 +28,8 @@ class Clip:
     gap: int = 1  # frames of the clip from the first to the second frame of a pair
     focals: tuple[str, ...] = tuple(FOCALS)  # names of `FOCALS` that are cases
     truth_deviation: float = 0.0  # of the true positions, in their unit; 0 if they are exact
+    # names of `FOCALS` with which the true poses are exact enough for deviations of poses
+    exact_poses: tuple[str, ...] = ("", "focal unknown")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,15 +141,20 @@ FOCALS_OF_WORLDS = {
     "poster 0": ["focal ×1.6"],
     "tilted floor": ["focal ×0.6"],
 }
+# Where `exact_poses` is set, tracks show that the true poses, or the stated focal length, are
+# inexact. With the poses of tisfm, the best points leave a robust deviation of 0.20 px (hololens),
+# 0.11 (new_tsukuba), 0.21 (sevenscenes) and 0.10 (kitti_odometry_06); with the true poses 0.29,
+# 0.22, 0.31 and 0.34. Both leave the same on tartanair (0.11) and fountain (0.14), and on
+# new_tsukuba (0.11, 0.12) if the focal length is 1.4 % above the stated one.
 CLIPS = (
     Clip(folder="tartanair"),
-    Clip(folder="hololens", start=2),
-    Clip(folder="new_tsukuba", step=2),
+    Clip(folder="hololens", start=2, exact_poses=()),
+    Clip(folder="new_tsukuba", step=2, exact_poses=("focal unknown",)),
     # Positions of COLMAP 4 (SIFT, whole frames, the same focal length) are 5.8 mm off the truth;
     # positions of tisfm are 1.3 mm off COLMAP's. The path is 237 mm long.
-    Clip(folder="sevenscenes", start=28, step=2, gap=2, truth_deviation=0.0058),
+    Clip(folder="sevenscenes", start=28, step=2, gap=2, truth_deviation=0.0058, exact_poses=()),
     Clip(folder="fountain", count=11),
-    Clip(folder="kitti_odometry_06", size=480),
+    Clip(folder="kitti_odometry_06", size=480, exact_poses=()),
     Clip(folder="tum_fr1_rpy", count=20, gap=3),
     Clip(folder="kitti_cars", size=480, focals=("", "focal unknown")),
     Clip(folder="kitti_cars", start=8, size=640, focals=("",)),

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import tisfm
-from tisfm.metrics import absolute_errors, path_length
+from tisfm.metrics import absolute_errors, align, path_length
 from tisfm.rigid import nearest_rotation
 
 MAX_ROTATION = 2.0  # degrees
@@ -368,6 +368,45 @@ def coverage(
     scale = np.median(true / ours)
     deviations = np.abs(ours * scale - true) / (deviation[known] * scale)
     return float((deviations <= 1).mean()), float((deviations <= 2).mean())
+
+
+def pose_errors(poses: NDArray, truth: NDArray) -> tuple[NDArray, NDArray]:
+    """Return the errors of positions and of rotations in the axes of the cameras, (N, 3) each.
+
+    Positions count after the best similarity, in the unit of the estimate; rotations after the best
+    rotation, in degrees.
+    """
+    centers, true_centers = poses[:, :3, 3], truth[:, :3, 3]
+    shift = centers - align(true_centers, centers).apply(true_centers)
+    between = truth[:, :3, :3] @ np.swapaxes(poses[:, :3, :3], 1, 2)
+    turned = nearest_rotation(between.sum(axis=0)) @ poses[:, :3, :3]
+    turns = np.swapaxes(turned, 1, 2) @ truth[:, :3, :3]
+    vectors = np.array([cv2.Rodrigues(turn)[0].ravel() for turn in turns])
+    return np.einsum("nji,nj->ni", poses[:, :3, :3], shift), np.degrees(vectors)
+
+
+def pose_coverage(
+    result: tisfm.Reconstruction,
+    truth: NDArray | None,  # (N, 4, 4) true poses; None if unknown
+) -> dict[str, list[float]]:
+    """Return the shares of pose errors within one and two deviations, of the largest piece.
+
+    Each axis of each frame counts. Nothing for a short piece, or one whose camera only turns.
+    """
+    members = np.flatnonzero((result.piece == result.largest_piece) & result.has_position)
+    if truth is None or len(members) < MIN_POSES:
+        return {}
+    poses, true = result.poses[members], truth[members]
+    deviations = (result.position_deviation[members], result.rotation_deviation[members])
+    shares = {}
+    for name, error, deviation in zip(
+        ("position", "rotation"), pose_errors(poses, true), deviations, strict=True
+    ):
+        known = deviation > 0
+        if known.any():
+            ratio = np.abs(error[known]) / deviation[known]
+            shares[f"{name} within"] = [float((ratio <= k).mean()) for k in (1, 2)]
+    return shares
 
 
 def _median_depth(maps: Sequence[NDArray | None]) -> float | None:

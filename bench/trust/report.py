@@ -194,23 +194,37 @@ def deviation_table(records: Sequence[Record]) -> Table:
                 for record in chosen
                 if record.get("focal deviation")
             ]
-            cells = [_percent(float(np.median(part)), 0) for part in zip(*depth, strict=True)]
+            poses = [
+                [record[f"{name} within"] for record in chosen if f"{name} within" in record]
+                for name in ("position", "rotation")
+            ]
             shares = [sum(z <= k for z in focal) for k in (1, 2)]
             rows.append(
                 [
                     f"{title}, {half}",
                     str(len(depth)),
-                    *(cells or [EMPTY_CELL] * 2),
+                    *_shares(depth, np.median),
+                    str(len(poses[0])),
+                    *_shares(poses[0], np.mean),
+                    *_shares(poses[1], np.mean),
                     str(len(focal)),
                     *(str(share) for share in shares),
                     cell(max(focal, default=None), ".1f"),
                 ]
             )
     head = [
-        "", "depth: films", "within 1σ, %", "2σ, %", "focal length: films", "within 1σ", "2σ",
+        "", "depth: films", "within 1σ, %", "2σ, %", "poses: films", "position within 1σ, %",
+        "2σ, %", "rotation within 1σ, %", "2σ, %", "focal length: films", "within 1σ", "2σ",
         "largest, σ",
     ]  # fmt: skip
     return Table(head, rows)
+
+
+def _shares(shares: Sequence[Sequence[float]], average: Any) -> list[str]:
+    """Return an average over films of the shares within one and two deviations, in percent."""
+    if not shares:
+        return [EMPTY_CELL] * 2
+    return [_percent(float(average(part)), 0) for part in zip(*shares, strict=True)]
 
 
 def _worst_piece(record: Record) -> Mapping[str, Any]:
@@ -268,7 +282,9 @@ def report(records: Sequence[Record], conditions: Mapping[str, Any], missing: Se
         "## Deviations",
         "Of sequences that are not wrong: the share of pixels whose inverse depth is off by at "
         "most one and two of its standard deviations, the median over films, each frame in its "
-        "own scale; and the number of estimated focal lengths that are off by as much.",
+        "own scale; the share of positions and rotations, each frame and axis, the mean over "
+        "films, after the best alignment of the largest piece, where the true poses are exact; "
+        "and the number of estimated focal lengths that are off by as much.",
         deviation_table(judged),
     ]
     for task in ("sequence", "pair"):

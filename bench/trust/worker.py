@@ -22,7 +22,13 @@ from numpy.typing import NDArray
 import tisfm
 from bench.trust.cases import FOCALS, SMALL, Case, Clip, all_cases, smoke_cases
 from bench.trust.films import render_film
-from bench.trust.judge import coverage, has_second_motion, judge_pair, judge_sequence
+from bench.trust.judge import (
+    coverage,
+    has_second_motion,
+    judge_pair,
+    judge_sequence,
+    pose_coverage,
+)
 from bench.trust.worlds import FRAMES, HEIGHT, WIDTH
 from tisfm.camera import Camera
 from tisfm.datasets import LoadedSequence, find_sequences
@@ -49,7 +55,8 @@ def run_sequence(case: Case, data: Path | None, *, is_smoke: bool) -> dict[str, 
     result, seconds = _reconstruct(film.frames, given_camera(true, case.focal))
     maps = [_on_pixels_of(result, k, depth, None) for k, depth in enumerate(film.depth)]
     verdict = judge_sequence(result, film.poses, maps)
-    return verdict | _about(result, true.focal, seconds) | _coverage(result, maps)
+    within = _coverage(result, maps) | pose_coverage(result, film.poses)
+    return verdict | _about(result, true.focal, seconds) | within
 
 
 def _run_clip(case: Case, clip: Clip, data: Path) -> dict[str, Any]:
@@ -68,7 +75,10 @@ def _run_clip(case: Case, clip: Clip, data: Path) -> dict[str, Any]:
     verdict = judge_sequence(result, poses, maps, clip.truth_deviation)
     shrunk = max(result.shape) / max(read_image(loaded.frames[0]).shape)
     about = _about(result, loaded.camera.focal * shrunk, seconds)
-    return verdict | about | _coverage(result, maps)
+    within = _coverage(result, maps)
+    if case.focal in clip.exact_poses:
+        within |= pose_coverage(result, poses)
+    return verdict | about | within
 
 
 def run_pair(case: Case, data: Path | None, *, is_smoke: bool) -> dict[str, Any]:

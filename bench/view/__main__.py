@@ -193,6 +193,8 @@ def lengthen_reconstruction(short: Path, long: Path, count: int) -> None:
         result,
         poses=poses,
         piece=np.zeros(count, np.int32),
+        position_deviation=result.position_deviation[numbers],
+        rotation_deviation=result.rotation_deviation[numbers],
         status=tuple(result.status[number] for number in numbers),
         depth_error=result.depth_error[numbers],
         depth_share=result.depth_share[numbers],

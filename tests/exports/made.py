@@ -81,6 +81,8 @@ def made(
         poses=poses,
         piece=piece,
         unit=(1.0,) * (int(piece.max()) + 1),
+        position_deviation=np.full((count, 3), 0.01),
+        rotation_deviation=np.full((count, 3), 0.1),
         status=(Status("converged", ""),) * count,
         depth_error=np.where(np.isin(np.arange(count), list(with_depth)), 0.0067, np.nan),
         depth_share=np.isin(np.arange(count), list(with_depth)).astype(float),

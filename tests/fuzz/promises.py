@@ -324,7 +324,7 @@ def check_copied(result, folder):
     """Saved and loaded, it is the same."""
     result.save(folder)
     loaded = Reconstruction.load(folder)
-    for name in ("poses", "piece"):
+    for name in ("poses", "piece", "position_deviation", "rotation_deviation"):
         check_same(getattr(loaded, name), getattr(result, name), name)
     for name in ("unit", "keyframes", "camera", "settings", "names", "shape", "version"):
         check_same(getattr(loaded, name), getattr(result, name), name)

@@ -177,9 +177,9 @@ def depth_of_frame():
 
 def path_of_frames():
     piece, times = np.zeros(FRAMES, np.int32), np.arange(FRAMES, dtype=np.float64)
-    return [
-        written(write_npz, {"poses": POSES, "piece": piece, "times": times, "unit": np.ones(1)})
-    ]
+    arrays = {"poses": POSES, "piece": piece, "times": times, "unit": np.ones(1)}
+    arrays |= {f"{name}_deviation": np.ones((FRAMES, 3)) for name in ("position", "rotation")}
+    return [written(write_npz, arrays)]
 
 
 def objects():
@@ -198,7 +198,7 @@ def reconstructions(motion="objects"):
     numbers = [field.name for field in fields(PairEvidence)]
     pair = PairEvidence(**dict.fromkeys(numbers, 1))
     about = {
-        "format": 5,
+        "format": 6,
         "version": "0",
         "camera": asdict(Camera(500.0)),
         "calibration": {"origin": "guessed", "focal_std": None},

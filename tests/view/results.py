@@ -45,6 +45,8 @@ def write_reconstruction(folder, count=5, *, changes=None, things=False):
         "poses": shot.poses,
         "piece": np.zeros(count, np.int32),
         "unit": (1.0,),
+        "position_deviation": np.full((count, 3), 0.01),
+        "rotation_deviation": np.full((count, 3), 0.1),
         "status": (Status("converged"),) * count,
         "keyframes": (0,),
         "camera": shot.camera,

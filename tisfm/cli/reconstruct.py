@@ -402,6 +402,8 @@ def _tell(result: Reconstruction, output: Path) -> None:
         f"Grade {result.grade_summary.text}. "
         f"Results in {output}."
     )
+    if result.pose_deviation_text:
+        tell(f"median deviations of the poses: {result.pose_deviation_text}")
     for moving_object in result.objects:
         pose_count = int(np.isfinite(moving_object.poses[:, 0, 0]).sum())
         text = f"object {moving_object.id}: labelled in {len(moving_object.frames)} frames"

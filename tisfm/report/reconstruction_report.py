@@ -137,6 +137,11 @@ def _summary(result: Reconstruction, folder: Path, source: str | None) -> list[t
         ("Pieces", f"{len(sizes)}" + (f" ({_sizes_text(sizes)} frames)" if len(sizes) > 1 else "")),
         ("Keyframes", str(len(result.keyframes))),
         ("Grade", result.grade_summary.text),
+        *(
+            [("Deviations of poses, median", poses)]
+            if (poses := result.pose_deviation_text)
+            else []
+        ),
         ("Preset", nearest_preset(result.settings)),
         ("Motion", result.settings.motion),
         ("Focal length", f"{focal}, {calibration.origin}"),

@@ -1,6 +1,7 @@
 """The benchmark that asks whether a result that is reported as good is wrong."""
 
 import os
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from bench.trust import cases, film_store, films, judge, report
 from bench.trust.worlds import smooth_path
+from tests.report.made import reconstruction as made_reconstruction
 from tisfm.grade import grade_depth
 from tisfm.metrics import path_length
 from tisfm.reconstruction.result.calibration import GIVEN
@@ -262,12 +264,39 @@ def test_coverage_counts_pixels_within_their_deviations():
     assert judge.coverage(inverse_depth, np.full((10, 20), np.inf), true) is None
 
 
+def test_pose_coverage_counts_axes_within_their_deviations(tmp_path):
+    truth = np.array([pose_matrix([0.1 * k, 0.05 * k * k, 0, 0, 0.02 * k, 0]) for k in range(8)])
+    random = np.random.default_rng(0)
+    poses = np.array([pose @ pose_matrix(1e-3 * random.standard_normal(6)) for pose in truth])
+    position, rotation = judge.pose_errors(poses, truth)
+    assert position.std() == pytest.approx(1e-3, rel=0.4)
+    assert rotation.std() == pytest.approx(np.degrees(1e-3), rel=0.4)
+    # another world and unit of the truth change nothing
+    moved = pose_matrix([1, 2, 3, 0.3, 0.2, 0.1]) @ truth
+    moved[:, :3, 3] *= 3
+    np.testing.assert_allclose(judge.pose_errors(poses, moved), (position, rotation), atol=1e-9)
+    known = made_reconstruction(tmp_path, pieces=[0] * 8)
+    result = replace(
+        known, poses=poses, position_deviation=np.full((8, 3), np.abs(position).max()),
+        rotation_deviation=np.full((8, 3), np.abs(rotation).max() / 1.5),
+    )  # fmt: skip
+    shares = judge.pose_coverage(result, truth)
+    assert shares["position within"] == [1.0, 1.0]
+    assert shares["rotation within"][0] < 1 and shares["rotation within"][1] == 1
+    unknown = replace(result, position_deviation=np.full((8, 3), np.nan))
+    assert list(judge.pose_coverage(unknown, truth)) == ["rotation within"]
+    assert judge.pose_coverage(result, None) == {}
+
+
 def test_table_of_deviations():
     record = {
         "half": "A", "real": True, "task": "sequence", "outcome": "right, green",
-        "within": [0.7, 0.95], "focal": 103.0, "true focal": 100.0, "focal deviation": 2.0,
+        "within": [0.7, 0.95], "position within": [0.6, 0.9], "rotation within": [0.5, 1.0],
+        "focal": 103.0, "true focal": 100.0, "focal deviation": 2.0,
     }  # fmt: skip
     wrong = {**record, "outcome": "wrong, flagged", "within": [0.0, 0.0]}
-    table = report.deviation_table([record, wrong])
+    unknown = {key: value for key, value in record.items() if not key.endswith("n within")}
+    unknown["focal"] = 101.0
+    table = report.deviation_table([record, wrong, unknown])
     (row,) = [row for row in table.rows if row[0] == "real, A"]
-    assert row == ["real, A", "1", "70", "95", "1", "0", "1", "1.5"]
+    assert row == ["real, A", "2", "70", "95", "1", "60", "90", "50", "100", "2", "1", "2", "1.5"]

@@ -38,7 +38,7 @@ def reduce_equations(
     damping: float = 0.0,
 ) -> ReducedEquations:
     """Return the normal equations of the camera's side, in units of the residuals' deviation."""
-    weight = 1 / (1 + (linear.residuals**2).sum(axis=1) / scale**2) / linear.weighting_deviation**2
+    weight = _weigh(linear, scale)
     weighted = linear.by_camera.T @ diags(np.repeat(weight, 2))
     matrix = (weighted @ linear.by_camera).toarray()
     gradient = weighted @ linear.residuals.ravel()
@@ -51,12 +51,56 @@ def reduce_equations(
     point_gradient = linear.by_points.T @ (np.repeat(weight, 2) * linear.residuals.ravel())
     eliminated = coupling @ inverse_points
     return ReducedEquations(
-        matrix=matrix - (eliminated @ coupling.T).toarray(),
+        matrix=matrix - multiply_by_columns(eliminated, coupling),
         gradient=gradient - eliminated @ point_gradient,
         coupling=coupling,
         inverse_points=inverse_points,
         point_gradient=point_gradient,
     )
+
+
+def track_gradients(
+    bundle: TrackBundle,
+    linear: BundleResiduals,
+    reduced: ReducedEquations,  # without damping
+    is_free: np.ndarray,  # as for `reduce_equations`, and `scale`, too
+    scale: float,
+) -> csr_matrix:
+    """Return what each track adds to the gradient of the camera's side, (K, P), without the prior.
+
+    The points are eliminated, so a track counts with the residuals that its best point leaves.
+    """
+    rows = 2 * len(bundle.positions)
+    weighted = np.repeat(_weigh(linear, scale), 2) * linear.residuals.ravel()
+    of_tracks = csr_matrix(
+        (weighted, np.repeat(bundle.indices, 2), np.arange(rows + 1)),
+        shape=(rows, len(bundle.points)),
+    )
+    by_points = reduced.inverse_points @ (linear.by_points.T @ of_tracks)
+    return (linear.by_camera[:, is_free].T @ of_tracks - reduced.coupling @ by_points).tocsr()
+
+
+def multiply_by_columns(left: csr_matrix, right: csr_matrix) -> np.ndarray:
+    """Return ``left @ right.T``, (K, K), of two (K, P) matrices.
+
+    Where many columns have many entries, products of dense parts are faster.
+    """
+    counts = [np.diff(values.tocsc().indptr) for values in (left, right)]
+    operations = int(counts[0].astype(np.int64) @ counts[1])
+    if operations < CALIBRATION.min_dense_operations:
+        return np.asarray((left @ right.T).toarray())
+    lefts, rights, step = left.tocsc(), right.tocsc(), CALIBRATION.dense_columns
+    product = np.zeros((left.shape[0], right.shape[0]))
+    for begin in range(0, left.shape[1], step):
+        part = slice(begin, begin + step)
+        product += lefts[:, part].toarray() @ rights[:, part].toarray().T
+    return product
+
+
+def _weigh(linear: BundleResiduals, scale: float) -> np.ndarray:
+    """Return the robust weight of each observation, (M,), 1/px²."""
+    square = (linear.residuals**2).sum(axis=1)
+    return np.asarray(1 / (1 + square / scale**2) / linear.weighting_deviation**2)
 
 
 def _inverse_point_blocks(

@@ -42,6 +42,9 @@ class CalibrationSettings:
     min_bundle_deviation: float = 0.02  # px: smallest standard deviation of a coordinate
     # share of the trace that is added to the diagonal of the equations of a point
     min_point_stiffness: float = 1e-12
+    # multiplications of a product of sparse matrices: with more, dense parts are multiplied
+    min_dense_operations: int = 100_000_000
+    dense_columns: int = 1000  # columns of such a part
     min_trace: float = 1e-30  # px²: added to that trace, so that a point without weight is regular
     min_bundle_depth: float = 1e-6  # unit of the poses: smallest depth that a projection divides by
     min_bundle_length: float = 1e-12  # unit of the poses: smallest distance that is divided by

@@ -52,6 +52,9 @@ def write_joined_result(
         poses=np.array([placement.pose for placement in placements]),
         piece=np.array(pieces, np.int32),
         unit=(1.0,) * (max(pieces) + 1),
+        position_deviation=np.array([[placement.scale] for placement in placements])
+        * _of_frames("position_deviation", results, placements),
+        rotation_deviation=_of_frames("rotation_deviation", results, placements),
         status=mark_contradicted(
             _statuses(results, placements, missing),
             pieces,
@@ -138,7 +141,7 @@ def _statuses(
 def _of_frames(
     name: str, results: Sequence[Reconstruction], placements: Sequence[ChunkPlacement]
 ) -> np.ndarray:
-    """Return the values of a field of each frame, (N,)."""
+    """Return the values of a field of each frame, (N, …)."""
     return np.array(
         [
             getattr(result, name)[placement.number]

@@ -35,7 +35,7 @@ from tisfm.settings import Settings
 from tisfm.status import Status
 from tisfm.trajectory.poses import check_poses
 
-FORMAT = 5  # version of the format of the record
+FORMAT = 6  # version of the format of the record
 OBJECTS_FORMAT = 1  # version of the format of the file of moving objects
 RECORD = "reconstruction.json"
 MARKER = "reconstruction.begun"
@@ -50,6 +50,7 @@ MAX_HALF = 60000.0  # largest stored float16 value; the largest possible value i
 # Errors from reading damaged JSON, or numbers outside NumPy's range.
 _READ_ERRORS = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
 PARTS = (RECORD, PATH, DEPTH, PICTURES, CAMERA, MASKS, OBJECTS, FIXED_MASK)
+_DEVIATIONS = ("position_deviation", "rotation_deviation")
 _HALF_ARRAYS = ("inverse_depth", "inverse_depth_std")
 REQUEST = "asked.json"  # the request of `tisfm reconstruct`
 OPTIONAL_FILES = (
@@ -210,6 +211,8 @@ def write_record(folder: Path, result: Any) -> None:
         "piece": result.piece,
         "times": times,
         "unit": np.array(result.unit, np.float64),
+        "position_deviation": result.position_deviation,
+        "rotation_deviation": result.rotation_deviation,
     }
     write_npz(folder / PATH, path)
     record = {
@@ -258,15 +261,17 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
                 f"this version reads format {FORMAT}: reconstruct the source again"
             )
         dtype_kinds = {"poses": "f", "piece": "i", "times": "f", "unit": "f"}
+        dtype_kinds |= dict.fromkeys(_DEVIATIONS, "f")
         with NpzFile(path / PATH) as file:
             arrays = {name: file.read(name) for name in dtype_kinds}
         for name, values in arrays.items():
             if values.dtype.kind != dtype_kinds[name]:
                 raise InputError(f"{name} of {PATH} has the type {values.dtype}")
-        poses, piece, times, unit = arrays.values()
+        poses, piece, times, unit, *deviations = arrays.values()
         count = len(record["names"])
         if poses.shape != (count, 4, 4) or piece.shape != (count,) or times.shape != (count,):
             raise InputError(f"{PATH} does not have {count} frames")
+        _check_deviations(deviations, count)
         if unit.shape != (int(piece.max(initial=-1)) + 1,):
             raise InputError(f"{PATH} does not have a unit for every piece")
         if len(record["status"]) != count:
@@ -280,6 +285,7 @@ def read_record(folder: str | os.PathLike[str]) -> dict[str, Any]:
             poses=check_poses(poses),
             piece=piece.astype(np.int32),
             unit=tuple(map(float, unit)),
+            **dict(zip(_DEVIATIONS, deviations, strict=True)),
             depth_error=_read_shares(record, "depth_error", count),
             depth_share=_read_shares(record, "depth_share", count),
             times=tuple(None if np.isnan(time) else float(time) for time in times),
@@ -313,6 +319,15 @@ def _read_shares(record: dict[str, Any], name: str, count: int) -> np.ndarray:
     if not (np.isnan(values) | ((values >= 0) & (values <= 1))).all():
         raise InputError(f"{name} has a number that is not from 0 to 1")
     return values
+
+
+def _check_deviations(deviations: Sequence[np.ndarray], count: int) -> None:
+    """Refuse deviations of poses that are not (N, 3), or negative; NaN is allowed."""
+    for name, values in zip(_DEVIATIONS, deviations, strict=True):
+        if values.shape != (count, 3):
+            raise InputError(f"{name} of {PATH} is {values.shape}: expected {(count, 3)}")
+        if (values < 0).any():
+            raise InputError(f"{name} of {PATH} has a negative number")
 
 
 def _read_zoom(record: dict[str, Any], count: int) -> np.ndarray | None:

@@ -14,7 +14,7 @@ from tisfm.reconstruction.result.calibration import GIVEN, Calibration
 from tisfm.reconstruction.result.focal_note import find_focal_note
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.reconstruction.result.path_check import PathCheck
-from tisfm.reconstruction.result.summary import summarise
+from tisfm.reconstruction.result.summary import describe_pose_deviations, summarise
 from tisfm.settings import Settings
 from tisfm.status import Status
 
@@ -26,6 +26,8 @@ class ReconstructionRecord:
     poses: np.ndarray = field(repr=False)
     piece: np.ndarray = field(repr=False)
     unit: tuple[float, ...] = field(repr=False)
+    position_deviation: np.ndarray = field(repr=False)
+    rotation_deviation: np.ndarray = field(repr=False)
     status: tuple[Status, ...] = field(repr=False)
     depth_error: np.ndarray = field(repr=False)
     depth_share: np.ndarray = field(repr=False)
@@ -154,6 +156,24 @@ class ReconstructionRecord:
         """
         return find_focal_note(self.calibration, self.checks)
 
+    @property
+    def pose_deviation_text(self) -> str:
+        """The median deviations of the poses of the largest piece in words; "" if unknown.
+
+        That of the position is a share of the length of the path, root of the sum over its axes.
+        Given poses have no deviations.
+
+        Examples
+        --------
+        >>> import tisfm
+        >>> tisfm.Reconstruction.load("walk").pose_deviation_text[:12]
+        'position ±0.'
+        """
+        members = np.flatnonzero(self.piece == self.largest_piece)
+        return describe_pose_deviations(
+            self.poses[members], self.position_deviation[members], self.rotation_deviation[members]
+        )
+
     def summary(self) -> str:
         """Return one paragraph: poses, pieces, focal length, grades, contradictions and advice.
 
@@ -173,6 +193,7 @@ class ReconstructionRecord:
             self.calibration,
             self.zoom,
             self.focal_note,
+            self.pose_deviation_text,
         )
 
     def warning(self, frames: Iterable[int] | None = None) -> str:

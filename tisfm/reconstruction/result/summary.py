@@ -19,9 +19,12 @@ def summarise(
     calibration: Calibration,
     zoom: np.ndarray | None,  # as `Reconstruction.zoom`
     focal_note: str = "",  # as `Reconstruction.focal_note`
+    pose_deviations: str = "",  # as `Reconstruction.pose_deviation_text`
 ) -> str:
     """Return one paragraph: poses, pieces, focal length, grades, and what to do."""
     sentences = [f"{describe_poses(piece, has_position)}."]
+    if pose_deviations:
+        sentences.append(f"Median deviations: {pose_deviations}.")
     focal = calibration.focal or camera.focal
     text = describe_focal(focal, calibration.focal_std, calibration.shape)
     advice = ": pose and depth depend on it" if calibration.origin == "given" else ""
@@ -56,3 +59,20 @@ def describe_poses(piece: np.ndarray, has_position: np.ndarray) -> str:
     if turning_count:
         text += f"; {turning_count} {'have' if turning_count > 1 else 'has'} an orientation only"
     return text
+
+
+def describe_pose_deviations(
+    poses: np.ndarray,  # (F, 4, 4) of the frames of a piece
+    # position, rotation: (F, 3) standard deviations, in the unit of the poses and in degrees
+    position: np.ndarray,
+    rotation: np.ndarray,
+) -> str:
+    """Return the median deviations in words; "" if they are unknown, or the poses were given."""
+    length = float(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).sum())
+    sizes = [np.linalg.norm(values, axis=1) for values in (position, rotation)]
+    if not length or not all(np.isfinite(values).any() for values in sizes):
+        return ""
+    of_position, of_rotation = (float(np.nanmedian(values)) for values in sizes)
+    if not of_rotation:
+        return ""
+    return f"position ±{100 * of_position / length:.2g} % of the path, rotation ±{of_rotation:.2g}°"

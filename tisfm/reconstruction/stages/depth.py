@@ -5,10 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tisfm.grade import depth_error
+from tisfm.grade import GRADES, depth_error
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.path.camera_path import CameraPath
+from tisfm.reconstruction.path.pose_deviation import PoseDeviations, find_pose_deviations
 from tisfm.reconstruction.result.folder import write_depth
 from tisfm.reconstruction.result.statuses import NO_PARALLAX, ONLY_TURNS, add_piece_note
 from tisfm.reconstruction.stages.job import Job
@@ -24,6 +25,9 @@ class DepthResult:
 
     poses: np.ndarray  # (N, 4, 4) float64: camera to world; NaN for a frame without a pose
     piece: np.ndarray  # (N,) int32: the piece of each frame, −1 for none
+    # (N, 3) float64: standard deviations of the poses, as `Reconstruction` describes them
+    position_deviation: np.ndarray
+    rotation_deviation: np.ndarray
     status: tuple[Status, ...]
     keyframes: tuple[int, ...]
     # (N,) float64: expected relative error of the depth of each frame, NaN without depth, and the
@@ -47,6 +51,7 @@ def find_depth(
         status[frame] = reason
     keyframes: list[int] = []
     errors, shares = np.full(count, np.nan), np.zeros(count)
+    position_deviation, rotation_deviation = np.full((2, count, 3), np.nan)
     done = 0
     for number, piece in enumerate(path.pieces):
         if piece.only_turns:
@@ -56,12 +61,17 @@ def find_depth(
                 status[frame] = ONLY_TURNS
             done += len(piece.poses)
             continue
+        deviations = _find_pose_deviations(job, reading.frames, path, piece, focal_deviation)
         piece = _adjust_poses(job, reading.frames, piece, path.observations)
         kinds, unit, piece_errors = _write_piece_depth(
             job, reading.frames, piece, path.observations, done, focal_deviation
         )
         for frame, (error, share) in piece_errors.items():
             errors[frame], shares[frame] = error, share
+        if deviations is not None:
+            members = list(deviations.frames)
+            position_deviation[members] = deviations.position / unit
+            rotation_deviation[members] = deviations.rotation
         is_without_depth = job.depth_of == "keyframes" and not kinds
         done += len(piece.poses)
         keyframes += [frame for frame, kind in kinds.items() if kind == "keyframe"]
@@ -77,11 +87,28 @@ def find_depth(
     return DepthResult(
         poses=poses,
         piece=pieces,
+        position_deviation=position_deviation,
+        rotation_deviation=rotation_deviation,
         status=tuple(status),
         keyframes=tuple(sorted(keyframes)),
         error=errors,
         share=shares,
     )
+
+
+def _find_pose_deviations(
+    job: Job,
+    frames: PreparedFrames,
+    path: CameraPath,
+    piece: Piece,
+    focal_deviation: float,  # relative standard deviation of the focal length
+) -> PoseDeviations | None:
+    """Return the deviations of the poses of a piece; 0 if poses were given, None if unknown."""
+    if job.poses is not None:
+        zero = np.zeros((len(piece.poses), 3))
+        return PoseDeviations(frames=tuple(piece.poses), position=zero, rotation=zero)
+    deviation = min(focal_deviation, GRADES.guessed_focal_deviation)
+    return find_pose_deviations(path, piece, frames.shape, deviation)
 
 
 def _adjust_poses(

@@ -55,6 +55,8 @@ def write_result(
         poses=depth.poses,
         piece=depth.piece,
         unit=(1.0,) * len(path_result.path.pieces),
+        position_deviation=depth.position_deviation,
+        rotation_deviation=depth.rotation_deviation,
         status=mark_uncertain(
             mark_contradicted(
                 depth.status,

@@ -1,0 +1,205 @@
+"""Standard deviations of poses, against the spread of the poses of noisy tracks."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_matrix
+from scipy.spatial.transform import Rotation
+
+from tisfm.camera import Camera
+from tisfm.metrics import align
+from tisfm.reconstruction.calibration import normal_equations
+from tisfm.reconstruction.calibration.camera_adjustment import adjust_camera
+from tisfm.reconstruction.calibration.settings import CALIBRATION
+from tisfm.reconstruction.calibration.track_bundle import TrackBundle
+from tisfm.reconstruction.mapping.solution import Piece
+from tisfm.reconstruction.path import pose_deviation
+from tisfm.reconstruction.path.camera_path import CameraPath
+from tisfm.reconstruction.path.pose_deviation import find_pose_deviations
+from tisfm.reconstruction.path.settings import POSE_DEVIATION, PoseDeviationSettings
+from tisfm.reconstruction.tracks.tracker import Observations
+from tisfm.rigid import nearest_rotation, pose_matrix
+
+CAMERA, SHAPE = Camera(focal=300.0), (240, 320)
+NOISE = 0.1  # px
+
+
+@pytest.fixture(autouse=True)
+def without_factors(monkeypatch):
+    """Observations are independent here."""
+    plain = replace(POSE_DEVIATION, position_factor=1.0, rotation_factor=1.0)
+    monkeypatch.setattr(pose_deviation, "POSE_DEVIATION", plain)
+
+
+def walk(count=7, *, bend=0.03):
+    """Poses of a camera that moves sideways and turns."""
+    return {
+        3 * k: pose_matrix([0.15 * k, 0.01 * k * k * bend, 0.02 * k, 0.004 * k, bend * k, 0.0])
+        for k in range(count)
+    }
+
+
+def tracks_of(poses, focal=CAMERA.focal, count=150, seed=0):
+    """Points, and their exact positions in every frame."""
+    random = np.random.default_rng(seed)
+    points = random.uniform((-2, -1.2, 3), (3, 1.2, 7), (count, 3))
+    nothing = Observations(points=np.empty((0, 2)), tracks=np.empty(0, np.int64))
+    observations = [nothing] * (max(poses) + 1)
+    for frame, pose in poses.items():
+        x, y, z = np.linalg.inv(pose)[:3] @ np.c_[points, np.ones(count)].T
+        image = focal * np.stack([x / z, y / z], axis=1) + CAMERA.center_for(*SHAPE)
+        inside = ((image > 0) & (image < (SHAPE[1] - 1, SHAPE[0] - 1))).all(axis=1)
+        observations[frame] = Observations(points=image[inside], tracks=np.flatnonzero(inside))
+    return Piece(poses=poses, views=tuple(poses), points=dict(enumerate(points))), observations
+
+
+def noisy(observations, seed, noise=NOISE):
+    random = np.random.default_rng(seed)
+    return [
+        replace(view, points=view.points + noise * random.standard_normal(view.points.shape))
+        for view in observations
+    ]
+
+
+def adjusted(piece, observations, focal=CAMERA.focal):
+    """The poses that fit the tracks best."""
+    bundle = TrackBundle.from_piece(piece, observations, piece.views, CAMERA, SHAPE)
+    found = adjust_camera(bundle, focal, scales=(0.5,)).bundle
+    bottom = np.tile([[[0.0, 0, 0, 1]]], (len(found.poses), 1, 1))
+    poses = np.linalg.inv(np.concatenate([found.poses, bottom], axis=1))
+    points = dict(zip(found.tracks.tolist(), found.points, strict=True))
+    return replace(piece, poses=dict(zip(piece.poses, poses, strict=True)), points=points)
+
+
+def deviations_of(piece, observations, focal_deviation=0.0, zoom=None):
+    path = CameraPath(
+        pieces=(piece,), missing={}, observations=observations, camera=CAMERA, zoom=zoom
+    )  # fmt: skip
+    return find_pose_deviations(path, piece, SHAPE, focal_deviation)
+
+
+def errors(piece, truth):
+    """Errors of positions, and of rotations in degrees, in the axes of the cameras, (F, 6)."""
+    poses, true = (np.array(list(p.poses.values())) for p in (piece, truth))
+    centers, true_centers = poses[:, :3, 3], true[:, :3, 3]
+    shift = align(centers, true_centers).apply(centers) - true_centers
+    between = true[:, :3, :3] @ np.swapaxes(poses[:, :3, :3], 1, 2)
+    turned = nearest_rotation(between.sum(axis=0)) @ poses[:, :3, :3]
+    rotation = np.swapaxes(turned, 1, 2) @ true[:, :3, :3]
+    shift = np.einsum("nji,nj->ni", true[:, :3, :3], shift)
+    return np.c_[shift, np.degrees(Rotation.from_matrix(rotation).as_rotvec())]
+
+
+def test_deviations_are_the_spread_of_adjusted_poses():
+    truth, observations = tracks_of(walk())
+    spread, stated = [], []
+    for seed in range(24):
+        tracks = noisy(observations, seed)
+        piece = adjusted(truth, tracks)
+        spread.append(errors(piece, truth))
+        found = deviations_of(piece, tracks)
+        stated.append(np.c_[found.position, found.rotation])
+    ratio = np.sqrt(np.mean(np.square(spread), axis=0) / np.mean(np.square(stated), axis=0))
+    # A deviation from 24 draws is off by 14 %.
+    assert ratio.min() > 0.55 and ratio.max() < 1.6
+    assert np.median(ratio) == pytest.approx(1, abs=0.15)
+
+
+def test_drift_of_tracks_is_part_of_the_deviations():
+    """Errors that stay in a track from frame to frame cost more than independent ones."""
+    truth, observations = tracks_of(walk())
+    spread, stated = [], []
+    for seed in range(24):
+        random = np.random.default_rng(seed)
+        drift = np.cumsum(0.05 * random.standard_normal((len(observations), 150, 2)), axis=0)
+        tracks = [
+            replace(view, points=view.points + drift[k][view.tracks])
+            for k, view in enumerate(observations)
+        ]
+        piece = adjusted(truth, tracks)
+        spread.append(errors(piece, truth))
+        found = deviations_of(piece, tracks)
+        stated.append(np.c_[found.position, found.rotation])
+    ratio = np.sqrt(np.mean(np.square(spread), axis=0) / np.mean(np.square(stated), axis=0))
+    assert ratio.min() > 0.55 and ratio.max() < 1.7
+    assert np.median(ratio) == pytest.approx(1, abs=0.2)
+
+
+def test_zoom_is_part_of_the_deviations():
+    truth, observations = tracks_of(walk())
+    tracks = noisy(observations, 0)
+    zoom = np.linspace(1, 1.1, len(observations))
+    constant, free = deviations_of(truth, tracks), deviations_of(truth, tracks, zoom=zoom)
+    assert free.position[:, 2].mean() > 1.2 * constant.position[:, 2].mean()
+
+
+def test_focal_length_is_part_of_the_deviations():
+    truth, observations = tracks_of(walk())
+    exact = deviations_of(truth, observations)
+    wide = deviations_of(truth, observations, 0.05)
+    wrong = errors(adjusted(truth, observations, 1.05 * CAMERA.focal), truth)
+    part = np.sqrt(
+        np.square(np.c_[wide.position, wide.rotation])
+        - np.square(np.c_[exact.position, exact.rotation])
+    )
+    sizes = np.linalg.norm(part, axis=0), np.linalg.norm(wrong, axis=0)
+    np.testing.assert_allclose(*sizes, rtol=0.2, atol=0.1 * sizes[1].max() * 1e-2)
+
+
+def test_noisier_tracks_have_larger_deviations():
+    truth, observations = tracks_of(walk())
+    small, large = (
+        deviations_of(truth, noisy(observations, 0, noise)) for noise in (NOISE, 1.3 * NOISE)
+    )
+    assert (large.position > small.position).all() and (large.rotation > small.rotation).all()
+
+
+def test_straight_path_has_deviations():
+    truth, observations = tracks_of(walk(bend=0.0))
+    found = deviations_of(truth, noisy(observations, 0))
+    assert np.isfinite(found.position).all() and (found.rotation > 0).all()
+
+
+def test_long_pieces_are_divided_into_windows(monkeypatch):
+    truth, observations = tracks_of(walk(8))
+    observations = noisy(observations, 0)
+    whole = deviations_of(truth, observations)
+    windows = PoseDeviationSettings(max_frames=4, position_factor=1.0, rotation_factor=1.0)
+    monkeypatch.setattr(pose_deviation, "POSE_DEVIATION", windows)
+    found = deviations_of(truth, observations)
+    first = tuple(truth.views[:4])
+    poses = {frame: truth.poses[frame] for frame in first}
+    part = deviations_of(replace(truth, poses=poses, views=first), observations)
+    np.testing.assert_allclose(found.position[:4], part.position)
+    assert found.frames == whole.frames and np.isfinite(found.position).all()
+
+
+def test_tracks_that_link_no_frames_give_no_deviations():
+    truth, observations = tracks_of(walk())
+    alone = [replace(v, tracks=v.tracks + 1000 * k) for k, v in enumerate(observations)]
+    points = {1000 * k + j: p for k in range(len(alone)) for j, p in truth.points.items()}
+    assert deviations_of(replace(truth, points=points), alone) is None  # fmt: skip
+
+
+def test_products_of_dense_parts_are_those_of_sparse_matrices(monkeypatch):
+    random = np.random.default_rng(0)
+    left, right = (
+        csr_matrix(random.standard_normal((9, 25)) * (random.random((9, 25)) < 0.4))
+        for _ in range(2)
+    )
+    exact = left.toarray() @ right.toarray().T
+    np.testing.assert_allclose(normal_equations.multiply_by_columns(left, right), exact)
+    dense = replace(CALIBRATION, min_dense_operations=0, dense_columns=7)
+    monkeypatch.setattr(normal_equations, "CALIBRATION", dense)
+    np.testing.assert_allclose(normal_equations.multiply_by_columns(left, right), exact)
+
+
+def test_frames_with_few_tracks_are_left_out():
+    truth, observations = tracks_of(walk())
+    tracks = noisy(observations, 0)
+    poor = truth.views[3]
+    tracks[poor] = tracks[poor].select(np.arange(len(tracks[poor].tracks)) < 5)
+    found = deviations_of(truth, tracks)
+    assert set(found.frames) == set(truth.views) - {poor}
+    assert np.isfinite(found.position).all() and found.position.max() < 0.01
