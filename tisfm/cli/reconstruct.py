@@ -402,8 +402,6 @@ def _tell(result: Reconstruction, output: Path) -> None:
         f"Grade {result.grade_summary.text}. "
         f"Results in {output}."
     )
-    if result.pose_deviation_text:
-        tell(f"median deviations of the poses: {result.pose_deviation_text}")
     for moving_object in result.objects:
         pose_count = int(np.isfinite(moving_object.poses[:, 0, 0]).sum())
         text = f"object {moving_object.id}: labelled in {len(moving_object.frames)} frames"
@@ -421,6 +419,8 @@ def _tell(result: Reconstruction, output: Path) -> None:
             f"{calibration.readout_std:.1g} of the time between two frames; frames and poses are "
             "corrected for it"
         )
+    if result.pose_deviation_text:
+        tell(f"median deviations of the poses: {result.pose_deviation_text}")
     counts = Counter(str(status) for status in result.status if status != "converged")
     for code, number in counts.items():
         message = next(status.message for status in result.status if status == code)
