@@ -9,6 +9,7 @@ from bench.trust.films import Disturbance
 Task = Literal["sequence", "pair"]
 # The focal length that the program gets: the true one, none, or a multiple of the true one.
 FOCALS = {"": 1.0, "focal unknown": None, "focal ×0.6": 0.6, "focal ×1.6": 1.6}
+RIGHT_FOCALS = ("", "focal unknown")  # those with which the program gets no wrong camera
 PAIR = 3, 5  # numbers of the frames of a pair of a film; frame 5 may be the brighter one
 CUT_PAIR = 7, 8  # on both sides of a cut
 PAIRS_OF_CLIP = 0, 7  # first frames of the pairs of a clip
@@ -29,7 +30,7 @@ class Clip:
     focals: tuple[str, ...] = tuple(FOCALS)  # names of `FOCALS` that are cases
     truth_deviation: float = 0.0  # of the true positions, in their unit; 0 if they are exact
     # names of `FOCALS` with which the true poses are exact enough for deviations of poses
-    exact_poses: tuple[str, ...] = ("", "focal unknown")
+    exact_poses: tuple[str, ...] = RIGHT_FOCALS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,6 +66,12 @@ class Case:
         """Whether the input has no fault: its result should be right and green."""
         hard = ("tiles", "sparse", "mirror", "tum_fr1_rpy", "kitti_cars")
         return self.kind == "clean" and not self.focal and not self.scene.startswith(hard)
+
+    @property
+    def has_exact_poses(self) -> bool:
+        """Whether errors of poses are those of the program, not of the truth or a wrong camera."""
+        exact = RIGHT_FOCALS if self.clip is None else self.clip.exact_poses
+        return self.focal in exact
 
     @property
     def half(self) -> str:

@@ -55,7 +55,9 @@ def run_sequence(case: Case, data: Path | None, *, is_smoke: bool) -> dict[str, 
     result, seconds = _reconstruct(film.frames, given_camera(true, case.focal))
     maps = [_on_pixels_of(result, k, depth, None) for k, depth in enumerate(film.depth)]
     verdict = judge_sequence(result, film.poses, maps)
-    within = _coverage(result, maps) | pose_coverage(result, film.poses)
+    within = _coverage(result, maps)
+    if case.has_exact_poses:
+        within |= pose_coverage(result, film.poses)
     return verdict | _about(result, true.focal, seconds) | within
 
 
@@ -76,7 +78,7 @@ def _run_clip(case: Case, clip: Clip, data: Path) -> dict[str, Any]:
     shrunk = max(result.shape) / max(read_image(loaded.frames[0]).shape)
     about = _about(result, loaded.camera.focal * shrunk, seconds)
     within = _coverage(result, maps)
-    if case.focal in clip.exact_poses:
+    if case.has_exact_poses:
         within |= pose_coverage(result, poses)
     return verdict | about | within
 

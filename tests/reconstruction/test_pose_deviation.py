@@ -19,6 +19,7 @@ from tisfm.reconstruction.path.camera_path import CameraPath
 from tisfm.reconstruction.path.pose_deviation import find_pose_deviations
 from tisfm.reconstruction.path.settings import POSE_DEVIATION, PoseDeviationSettings
 from tisfm.reconstruction.tracks.tracker import Observations
+from tisfm.reconstruction.tracks.triangulation import points_of_tracks, triangulate_tracks
 from tisfm.rigid import nearest_rotation, pose_matrix
 
 CAMERA, SHAPE = Camera(focal=300.0), (240, 320)
@@ -203,3 +204,26 @@ def test_frames_with_few_tracks_are_left_out():
     found = deviations_of(truth, tracks)
     assert set(found.frames) == set(truth.views) - {poor}
     assert np.isfinite(found.position).all() and found.position.max() < 0.01
+
+
+def test_depth_is_off_because_of_the_poses():
+    """The depth of exact tracks from noisy poses."""
+    truth, observations = tracks_of(walk())
+    spread, stated = [], []
+    for seed in range(24):
+        tracks = noisy(observations, seed)
+        piece = adjusted(truth, tracks)
+        found = deviations_of(piece, tracks)
+        stated.append(found.relative_depth)
+        points = triangulate_tracks(observations, piece.poses, CAMERA, SHAPE)
+        of_frames = []
+        for frame in truth.poses:
+            pose, true_pose = piece.poses[frame], truth.poses[frame]
+            rows, found_points = points_of_tracks(observations[frame], points)
+            _, true_points = points_of_tracks(observations[frame].select(rows), truth.points)
+            depth = (found_points - pose[:3, 3]) @ pose[:3, 2]
+            ratio = depth / ((true_points - true_pose[:3, 3]) @ true_pose[:3, 2])
+            of_frames.append(ratio / ratio.mean() - 1)
+        spread.append([np.sqrt(np.median(ratio**2)) / 0.6745 for ratio in of_frames])
+    ratio = np.sqrt(np.mean(np.square(spread), axis=0) / np.mean(np.square(stated), axis=0))
+    assert ratio.min() > 0.6 and ratio.max() < 1.6

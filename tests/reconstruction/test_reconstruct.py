@@ -12,6 +12,7 @@ import pytest
 import tisfm
 from tests.reconstruction.films import along, depth_error, path_error, walk
 from tisfm import Camera, Reconstruction, Settings
+from tisfm.formats.npz import write_npz
 from tisfm.reconstruction.depth.segment_depth import PieceDepths
 
 FAST = Settings.preset("fast", motion="camera")
@@ -50,6 +51,9 @@ def test_every_frame_has_a_pose_and_depth_in_one_scale(film, found):
     assert all(status == "converged" for status in found.status)
     assert found.keyframes[0] == 0 and set(found.keyframes) <= set(range(len(found)))
     assert found.names == tuple(f"frame_{k:06d}" for k in range(len(found)))
+    deviations = np.linalg.norm(found.position_deviation, axis=1)
+    assert np.median(deviations) > 1e-4 and deviations.max() < 0.05
+    assert ((found.rotation_deviation > 0) & (found.rotation_deviation < 2)).all()
 
 
 def test_preset_alone_means_the_motion_of_the_camera(film):
@@ -80,6 +84,8 @@ def test_given_poses_are_kept_and_depth_is_in_their_unit(film):
     errors = [depth_error(found.depth(k), true) for k, true in enumerate(film.depth) if k != 4]
     assert np.median(errors) < 0.08 and max(errors) < 0.2
     assert found.piece[4] == -1 and np.isnan(found.poses[4]).all()
+    for deviation in (found.position_deviation, found.rotation_deviation):
+        assert np.isnan(deviation[4]).all() and not np.delete(deviation, 4, axis=0).any()
     assert np.isnan(found.depth(4)).all() and np.isinf(found.inverse_depth_std(4)).all()
     assert found.status[4] == "unrelated" and found.status[4].message
 
@@ -234,6 +240,16 @@ def test_inconsistent_records_are_refused(found, tmp_path, part):
     record = tmp_path / "reconstruction.json"
     record.write_text(json.dumps(json.loads(record.read_text()) | part))
     with pytest.raises(tisfm.formats.FormatError, match=r"reconstruction\.json is damaged"):
+        Reconstruction.load(tmp_path)
+
+
+@pytest.mark.parametrize("deviation", [np.zeros((2, 3)), -np.ones((9, 3)), np.ones((9, 3), int)])
+def test_wrong_deviations_of_poses_are_refused(found, tmp_path, deviation):
+    found.save(tmp_path)
+    with np.load(tmp_path / "path.npz") as file:
+        arrays = dict(file)
+    write_npz(tmp_path / "path.npz", {**arrays, "rotation_deviation": deviation})
+    with pytest.raises(tisfm.formats.FormatError, match="rotation_deviation"):
         Reconstruction.load(tmp_path)
 
 

@@ -300,3 +300,12 @@ def test_table_of_deviations():
     table = report.deviation_table([record, wrong, unknown])
     (row,) = [row for row in table.rows if row[0] == "real, A"]
     assert row == ["real, A", "2", "70", "95", "1", "60", "90", "50", "100", "2", "1", "2", "1.5"]
+
+
+def test_poses_are_compared_where_the_truth_is_exact():
+    exact = {case.name for case in cases.sequence_cases() if case.has_exact_poses}
+    assert {"room 0", "room 0, focal unknown", "fountain", "new_tsukuba, focal unknown"} <= exact
+    assert (
+        not {"room 0, focal ×0.6", "kitti_odometry_06", "new_tsukuba", "fountain, focal ×1.6"}
+        & exact
+    )

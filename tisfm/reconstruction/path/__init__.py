@@ -2,6 +2,7 @@
 
 May import: `camera`, `checks`, `errors`, `shutter`, `status`, `trajectory`,
 `reconstruction.calibration`, `reconstruction.causes`, `reconstruction.frames`,
-`reconstruction.mapping`, `reconstruction.result`, `reconstruction.rolling_shutter`,
-`reconstruction.rotation`, `reconstruction.submaps` and `reconstruction.tracks`.
+`reconstruction.geometry`, `reconstruction.mapping`, `reconstruction.result`,
+`reconstruction.rolling_shutter`, `reconstruction.rotation`, `reconstruction.submaps` and
+`reconstruction.tracks`.
 """

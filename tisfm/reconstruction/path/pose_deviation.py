@@ -7,11 +7,15 @@ sandwich, covariance), not from the residuals of single observations.
 
 A covariance depends on the choice of the coordinate system. Here each pose counts after the best
 alignment of the path: positions after the best similarity, orientations after the best rotation.
+
+Depth follows from the poses, so the points that move with the poses show how far depth is off
+because of them.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_matrix, hstack
 
 from tisfm.reconstruction.calibration.bundle_residuals import COMMON, BundleState, linearise
 from tisfm.reconstruction.calibration.normal_equations import (
@@ -34,6 +38,9 @@ class PoseDeviations:
     frames: tuple[int, ...]  # numbers of the F frames, in order
     position: np.ndarray  # (F, 3) float64: along X, Y and Z, unit of the poses
     rotation: np.ndarray  # (F, 3) float64: about X, Y and Z, degrees
+    # (F,) float64: relative standard deviation of depth because of the poses, median over the
+    # points of a frame, apart from a factor that all of them share
+    relative_depth: np.ndarray
 
 
 def find_pose_deviations(
@@ -77,7 +84,8 @@ def find_pose_deviations(
     return PoseDeviations(
         frames=tuple(frames),
         position=POSE_DEVIATION.position_factor * deviations[:, :3],
-        rotation=POSE_DEVIATION.rotation_factor * np.degrees(deviations[:, 3:]),
+        rotation=POSE_DEVIATION.rotation_factor * np.degrees(deviations[:, 3:6]),
+        relative_depth=POSE_DEVIATION.position_factor * deviations[:, 6],
     )
 
 
@@ -87,10 +95,15 @@ def _find_variances(
     zoom: np.ndarray | None,  # as `CameraPath.zoom`
     focal_deviation: float,  # relative
 ) -> np.ndarray | None:
-    """Return the variances of the positions and orientations of frames, (F, 6); None if unknown."""
-    covariance = _find_covariance(bundle, focal, zoom, focal_deviation)
-    if covariance is None or not np.isfinite(covariance).all():
+    """Return the variances of frames, (F, 7); None if unknown.
+
+    They are those of the position, of the orientation, and of the relative depth.
+    """
+    found = _find_covariance(bundle, focal, zoom)
+    if found is None or not np.isfinite(found.matrix).all():
         return None
+    of_depth = _find_depth_variances(bundle, found)
+    covariance = found.matrix + np.outer(found.by_focal, found.by_focal) * focal_deviation**2
     count = len(bundle.frames)
     rotation = bundle.poses[:, :, :3]
     to_world = np.swapaxes(rotation, 1, 2)
@@ -109,16 +122,22 @@ def _find_variances(
         of_frames = np.einsum("nink->nik", aligned.reshape(count, 3, count, 3))
         in_camera = np.einsum("nij,njk,nik->ni", rotation, of_frames, rotation)
         variances.append(np.maximum(in_camera, 0))
-    return np.concatenate(variances, axis=1)
+    return np.concatenate([*variances, of_depth[:, None]], axis=1)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _PoseCovariance:
+    """The covariance of the steps (t, ω) of poses, and what follows from a step."""
+
+    matrix: np.ndarray  # (6 F, 6 F): for an exact focal length
+    by_focal: np.ndarray  # (6 F,): derivative by the logarithm of the focal length
+    point_moves: csr_matrix  # (3 P, 6 F): motion of the points by the steps of the poses
 
 
 def _find_covariance(
-    bundle: TrackBundle,
-    focal: float,
-    zoom: np.ndarray | None,
-    focal_deviation: float,
-) -> np.ndarray | None:
-    """Return the covariance of the steps of the poses, (6 F, 6 F); None if tracks are too few.
+    bundle: TrackBundle, focal: float, zoom: np.ndarray | None
+) -> _PoseCovariance | None:
+    """Return the covariance of the steps of the poses; None if tracks are too few.
 
     The pose of the first frame is fixed. The zoom of frames is free if the path has a zoom.
     """
@@ -147,13 +166,39 @@ def _find_covariance(
     gradients = track_gradients(bundle, linear, reduced, is_free, scale)[:-1]
     diagonal = np.diag(matrix)
     stiffness = np.where(diagonal > 0, POSE_DEVIATION.min_stiffness * diagonal, 1.0)
-    inverse = np.linalg.inv(matrix + np.diag(stiffness))[: 6 * count - 6]
-    by_focal = inverse @ reduced.matrix[:-1, -1]
-    covariance = np.zeros((6 * count, 6 * count))
+    free_count = 6 * count - 6
+    inverse = np.linalg.inv(matrix + np.diag(stiffness))[:free_count]
+    covariance, by_focal = np.zeros((6 * count, 6 * count)), np.zeros(6 * count)
     spread = multiply_by_columns(gradients, gradients) * number_count / freedom
     covariance[6:, 6:] = inverse @ spread @ inverse.T
-    covariance[6:, 6:] += np.outer(by_focal, by_focal) * focal_deviation**2
-    return covariance
+    by_focal[6:] = -inverse @ reduced.matrix[:-1, -1]
+    moves = -reduced.inverse_points @ reduced.coupling[:free_count].T
+    fixed = csr_matrix((moves.shape[0], 6))
+    return _PoseCovariance(
+        matrix=covariance, by_focal=by_focal, point_moves=hstack([fixed, moves]).tocsr()
+    )
+
+
+def _find_depth_variances(bundle: TrackBundle, covariance: _PoseCovariance) -> np.ndarray:
+    """Return the variance of the relative depth of each frame because of the poses, (F,)."""
+    count = len(bundle.frames)
+    step = -(-count // POSE_DEVIATION.depth_frames)
+    known, variances = list(range(0, count, step)), []
+    for k in known:
+        rows = np.flatnonzero(bundle.views == k)
+        indices = bundle.indices[rows[:: -(-len(rows) // POSE_DEVIATION.depth_tracks)]]
+        rotation, shift = bundle.poses[k, :, :3], bundle.poses[k, :, 3]
+        local = bundle.points[indices] @ rotation.T + shift
+        moves = covariance.point_moves[(3 * indices[:, None] + np.arange(3)).ravel()].toarray()
+        by_step = np.einsum("c,jck->jk", rotation[2], moves.reshape(-1, 3, 6 * count))
+        by_step[:, 6 * k + 2] += 1  # of Z by t, and by ω × X
+        by_step[:, 6 * k + 3] += local[:, 1]
+        by_step[:, 6 * k + 4] -= local[:, 0]
+        depth = np.maximum(local[:, 2:], CALIBRATION.min_bundle_depth)
+        relative = by_step / depth
+        relative -= relative.mean(axis=0)  # without the shared factor
+        variances.append(np.median(((relative @ covariance.matrix) * relative).sum(axis=1)))
+    return np.interp(np.arange(count), known, np.maximum(variances, 0))
 
 
 def _similarity_motions(centers: np.ndarray) -> np.ndarray:

@@ -75,6 +75,10 @@ class PoseDeviationSettings:
     # frames whose covariance is found together: memory grows like its square, time like its cube
     max_frames: int = 300
     min_tracks: int = 8  # tracks of a frame that has deviations
+    # depth_frames, depth_tracks: largest number of frames, and of tracks of a frame, whose depth
+    # shows the effect of the poses; it is interpolated between these frames
+    depth_frames: int = 50
+    depth_tracks: int = 40
     # share of the diagonal that is added to it, so that a frame without tracks is regular
     min_stiffness: float = 1e-9
     # size of a motion of the whole path, relative to the largest one, that moves its positions; a

@@ -36,7 +36,8 @@ class Reconstruction(StoredFrames):
         poses. NaN without a pose, where the camera only turns, and where few tracks link frames. In
         a piece with more than 300 frames, and in chunks, they hold after the alignment of the part
         or chunk around the frame: the drift between parts is not included. The preset ``accurate``
-        adjusts poses to the images afterwards: the deviations are those before. A stream has none.
+        adjusts poses to the images afterwards: the deviations are those before. They do not hold
+        for a contradicted path. A stream has none.
     status : tuple of Status
         For every frame, with a message: ``"converged"`` if it has a pose, and depth if depth was
         requested; ``"uncertain"`` if its depth is expected to be off by more than 10 %;

@@ -161,7 +161,7 @@ class ReconstructionRecord:
         """The median deviations of the poses of the largest piece in words; "" if unknown.
 
         That of the position is a share of the length of the path, root of the sum over its axes.
-        Given poses have no deviations.
+        Given poses and contradicted paths have none.
 
         Examples
         --------
@@ -170,6 +170,8 @@ class ReconstructionRecord:
         'position ±0.'
         """
         members = np.flatnonzero(self.piece == self.largest_piece)
+        if any(self.status[frame] == "contradicted" for frame in members):
+            return ""
         return describe_pose_deviations(
             self.poses[members], self.position_deviation[members], self.rotation_deviation[members]
         )

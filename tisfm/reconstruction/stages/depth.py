@@ -64,7 +64,7 @@ def find_depth(
         deviations = _find_pose_deviations(job, reading.frames, path, piece, focal_deviation)
         piece = _adjust_poses(job, reading.frames, piece, path.observations)
         kinds, unit, piece_errors = _write_piece_depth(
-            job, reading.frames, piece, path.observations, done, focal_deviation
+            job, reading.frames, piece, path.observations, done, focal_deviation, deviations
         )
         for frame, (error, share) in piece_errors.items():
             errors[frame], shares[frame] = error, share
@@ -106,7 +106,9 @@ def _find_pose_deviations(
     """Return the deviations of the poses of a piece; 0 if poses were given, None if unknown."""
     if job.poses is not None:
         zero = np.zeros((len(piece.poses), 3))
-        return PoseDeviations(frames=tuple(piece.poses), position=zero, rotation=zero)
+        return PoseDeviations(
+            frames=tuple(piece.poses), position=zero, rotation=zero, relative_depth=zero[:, 0]
+        )
     deviation = min(focal_deviation, GRADES.guessed_focal_deviation)
     return find_pose_deviations(path, piece, frames.shape, deviation)
 
@@ -134,6 +136,7 @@ def _write_piece_depth(
     observations: Sequence[Observations],
     done: int,  # number of frames of earlier pieces
     focal_deviation: float,  # relative standard deviation of the focal length
+    pose_deviations: PoseDeviations | None,
 ) -> tuple[dict[int, str], float, dict[int, tuple[float, float]]]:
     """Write the depth of a piece's frames.
 
@@ -152,14 +155,22 @@ def _write_piece_depth(
         effort=depth_effort(job.settings),
         written_until=max(piece.poses) if job.depth_of == "keyframes" else -1,
     )
+    of_poses: dict[int, float] = {}  # relative standard deviation of depth because of the poses
+    if pose_deviations is not None:
+        of_poses = dict(
+            zip(pose_deviations.frames, pose_deviations.relative_depth.tolist(), strict=True)
+        )
     kinds: dict[int, str] = {}
     errors: dict[int, tuple[float, float]] = {}
     unit = 1.0
     for depth in depths:
         if not kinds and job.poses is None:
             unit = median_depth(depth.inverse_depth)
-        write_depth(job.folder, depth.frame, depth.inverse_depth * unit, depth.deviation * unit)
-        errors[depth.frame] = depth_error(depth.inverse_depth, depth.deviation, focal_deviation)
+        deviation = np.hypot(
+            depth.deviation, np.float32(of_poses.get(depth.frame, 0.0)) * depth.inverse_depth
+        )
+        write_depth(job.folder, depth.frame, depth.inverse_depth * unit, deviation * unit)
+        errors[depth.frame] = depth_error(depth.inverse_depth, deviation, focal_deviation)
         job.report_depth(depth.frame, errors[depth.frame][0])
         kinds[depth.frame] = "keyframe" if depth.frame in depths.keyframes else "between"
         job.progress("depth", done + len(kinds), len(observations))
