@@ -129,7 +129,7 @@ def _solve_zoom(
         if solves_left:
             total += change
             tracks = unzoom_tracks(solver.tracks, total, solver.camera)
-            path = replace(solver, tracks=tracks).solve(instants)
+            path = replace(solver, tracks=tracks, joins_pieces=False).solve(instants)
     return None
 
 

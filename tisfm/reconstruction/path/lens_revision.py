@@ -113,7 +113,7 @@ def _solve_with(
         observations=undistort_tracks(solver.tracks.observations, camera, shape),
         views=undistort_views(solver.tracks.views, camera, shape),
     )
-    path = replace(solver, tracks=tracks).solve(instants)
+    path = replace(solver, tracks=tracks, joins_pieces=False).solve(instants)
     if count_views(path) < REVISION.min_views:
         return None
     if path.focal is not None and not path.focal.is_useful:

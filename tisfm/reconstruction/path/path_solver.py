@@ -9,6 +9,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.reconstruction.calibration.self_calibration import find_models_and_focal
 from tisfm.reconstruction.causes.cause_search import CauseSearch
+from tisfm.reconstruction.joints.joint_search import join_pieces
 from tisfm.reconstruction.mapping.models import Model, find_models, readjust_models
 from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.mapping.solution import FocalEstimate, PathSolution, Piece
@@ -46,8 +47,12 @@ class PathSolver:
     # one plane.
     is_focal_known: bool = True
     frames: Sequence[int] | None = None  # the frames that get a pose; by default all
-    # frame → (H, W) uint8: images that show why frames have no pose; None if they are not at hand
+    # frame → (H, W) uint8: images that join pieces, and that show why frames have no pose; None if
+    # they are not at hand
     grey: Callable[[int], np.ndarray] | None = None
+    # Whether pieces are joined by their images. The images have to belong to the tracks: tracks
+    # without a zoom, for instance, differ from images with it.
+    joins_pieces: bool = True
 
     def solve(
         self,
@@ -60,6 +65,7 @@ class PathSolver:
         if not len(tracks.observations):
             return CameraPath(pieces=(), missing={}, observations=(), camera=self.camera)
         solution = self._solve_views(tracks.views, tracks.observations, self.camera, self.calibrate)
+        solution = self._join_pieces(solution)
         rolling = None
         if self.readout != 0 and solution.pieces:
             count = len(tracks.observations)
@@ -168,6 +174,23 @@ class PathSolver:
             camera=camera,
             focal=focal,
             score=score,
+        )
+
+    def _join_pieces(self, solution: PathSolution) -> PathSolution:
+        """Return the solution with pieces joined by their images, and frames between them posed."""
+        camera = solution.camera
+        if self.grey is None or not self.joins_pieces or not camera.is_pinhole:
+            return solution
+        pieces = join_pieces(solution.pieces, solution.observations, camera, self.grey)
+        if len(pieces) == len(solution.pieces):
+            return solution
+        return self.complete_solution(
+            pieces,
+            solution.views,
+            solution.observations,
+            camera,
+            solution.focal,
+            solution.score,
         )
 
     def _correct_readout(

@@ -1,0 +1,1 @@
+"""Joints between pieces of a path that share no tracks, by direct alignment."""
