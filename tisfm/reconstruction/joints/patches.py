@@ -27,7 +27,7 @@ def build_pyramid(grey: np.ndarray) -> list[Level]:
         levels.append(Level(image=image, gradient=(gradient[0], gradient[1]), factor=factor))
         if max(image.shape) < 2 * JOINTS.min_level_side:
             return levels
-        image, factor = cv2.pyrDown(image), 2 * factor
+        image, factor = np.asarray(cv2.pyrDown(image), np.float32), 2 * factor
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
