@@ -124,6 +124,37 @@ class DepthSettings:
     max_depth_step: float = 0.1
     adjustment_rounds: int = 2  # Gauss–Newton steps
     max_adjustment_frames: int = 200  # frames in one system of equations
+    # plane_homographies
+    homography_smoothing: float = 0.8  # px: standard deviation of the Gaussian on images
+    homography_samples: int = 2**14  # approximate number of pixels that are compared
+    homography_border: int = 4  # px: pixels near the border of a frame are not compared
+    homography_steps: int = 3  # largest number of Gauss–Newton steps
+    min_homography_step: float = 0.005  # px: a smaller step ends them
+    # px: median change of a homography by these steps; a larger change is a wrong match
+    max_homography_change: float = 2.0
+    min_overlap: float = 0.3  # share of the pixels of a frame that the other frame shows
+    min_grey_deviation: float = 0.1  # grey levels: smallest assumed deviation of noise
+    # share of the trace that is added to the diagonal, for frames with little texture
+    min_homography_stiffness: float = 1e-9
+    # plane_alignment
+    # distances, in frames, between two frames that are compared
+    plane_gaps: tuple[int, ...] = (1, 2, 4, 8)
+    plane_rounds: int = 10  # Gauss–Newton steps of all poses
+    min_plane_step: float = 1e-7  # rad, and share of the plane's distance: a smaller step ends them
+    plane_damping: float = 1e-9  # damping, as a share of the diagonal of the system
+    # frames between two frames whose tracks are compared with a plane
+    relief_gap: int = 8
+    # px: smallest assumed deviation of tracks across epipolar lines
+    min_track_deviation: float = 0.05
+    # deviations: tracks farther than this from their position on the plane count
+    relief_deviations: float = 6.0
+    # Share of tracks that are farther along epipolar lines, less the share that are farther across:
+    # a larger excess is relief. Rendered planes had at most 0.01, boxes of 2 to 10 % of the
+    # distance on a plane 0.11 to 0.15.
+    max_relief_share: float = 0.03
+    # median distance of tracks from their position on the plane, with aligned poses over that
+    # before: a larger ratio shows that the images do not fit the plane
+    max_track_growth: float = 1.2
 
 
 DEPTH = DepthSettings()

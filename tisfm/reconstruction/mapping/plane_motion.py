@@ -29,7 +29,7 @@ def find_other_motion(
     """
     middle = poses[len(poses) // 2]
     in_middle = points @ middle[:, :3].T + middle[:, 3]
-    plane = _fit_plane(in_middle[in_middle[:, 2] > 0])
+    plane = fit_plane(in_middle[in_middle[:, 2] > 0])
     if plane is None:
         return None
     rotations = poses[:, :, :3] @ middle[:, :3].T
@@ -41,7 +41,7 @@ def find_other_motion(
     return np.array([_move_with_plane(each, other_plane) for each in homographies])
 
 
-def _fit_plane(points: np.ndarray) -> np.ndarray | None:
+def fit_plane(points: np.ndarray) -> np.ndarray | None:
     """Return the vector m, (3,), of the plane m · X = 1 near most points; None if there is none."""
     if len(points) < MAPPING.min_observations:
         return None

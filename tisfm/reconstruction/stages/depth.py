@@ -116,11 +116,25 @@ def _find_pose_deviations(
 def _adjust_poses(
     job: Job, frames: PreparedFrames, piece: Piece, observations: Sequence[Observations]
 ) -> Piece:
-    """Return the piece with poses adjusted to the images, if the settings ask for accuracy."""
+    """Return the piece with poses adjusted to the images: of a plane, or for accuracy."""
+    from tisfm.reconstruction.depth.plane_alignment import align_plane
     from tisfm.reconstruction.depth.pose_adjustment import adjust_poses
     from tisfm.reconstruction.depth.segment_depth import PieceDepths, depth_effort
 
-    if job.poses is not None or depth_effort(job.settings) != "accurate":
+    if job.poses is not None:
+        return piece
+    aligned = align_plane(
+        piece.poses,
+        np.array(list(piece.points.values())).reshape(-1, 3),
+        observations,
+        frames.grey,
+        frames.static_pixels,
+        frames.camera,
+        frames.shape,
+    )
+    if aligned is not None:
+        return replace(piece, poses=aligned)
+    if depth_effort(job.settings) != "accurate":
         return piece
     windows = PieceDepths(
         frames, piece, observations, job.settings, effort="fast"

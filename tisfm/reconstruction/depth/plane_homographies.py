@@ -1,0 +1,181 @@
+"""Homographies between frames of one plane, fitted to the grey levels of all pixels."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.reconstruction.depth.settings import DEPTH
+
+MAD_TO_DEVIATION = 1.4826  # standard deviation of a normal distribution over its median distance
+MAX_GREY = 255.0
+SAMPLE_ROW = 128  # samples of a row of an array that is interpolated
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeasuredHomography:
+    """The homography from one frame to another, and how certain it is."""
+
+    first: int  # index of the frame
+    second: int
+    matrix: np.ndarray  # (3, 3) float64: on positions in focal lengths
+    # (8, 8) float64: inverse covariance, up to a factor that all pairs share, of the first eight
+    # entries of D − I, row by row; D, whose last entry is 1, is applied before the matrix
+    information: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _SmoothFrame:
+    """A smoothed frame with its derivatives, and its samples on a grid."""
+
+    images: tuple[np.ndarray, ...]  # three (H, W) float32: grey levels, derivatives by x and y
+    used: np.ndarray  # (H, W) bool: pixels that are used, and whose neighbours are
+    rays: np.ndarray  # (N, 3) float64: directions to the samples
+    grey: np.ndarray  # (N,) float64: grey levels of the samples
+
+
+class HomographySearch:
+    """Fits homographies to pairs of frames."""
+
+    def __init__(
+        self,
+        # frame → (H, W) float32: grey levels; frame → (H, W) bool: pixels that are used
+        grey: Callable[[int], np.ndarray],
+        used_pixels: Callable[[int], np.ndarray],
+        camera: Camera,  # a pinhole
+    ) -> None:
+        self._grey, self._used_pixels, self._camera = grey, used_pixels, camera
+        self._cache: dict[int, _SmoothFrame] = {}
+
+    def measure(
+        self,
+        pair: tuple[int, int],  # indices of the frames, as in the result
+        frames: tuple[int, int],  # numbers of the frames
+        start: np.ndarray,  # (3, 3): homography near the right one
+    ) -> MeasuredHomography | None:
+        """Return the homography of two frames; None if they hardly overlap or do not fit.
+
+        Differences of brightness, a factor and an offset, are fitted as well.
+
+        References
+        ----------
+        Baker and Matthews, "Lucas-Kanade 20 years on: a unifying framework", IJCV 2004,
+        doi 10.1023/B:VISI.0000011205.11775.fd: the forwards compositional algorithm.
+        """
+        first, second = (self._prepare(frame) for frame in frames)
+        matrix, step = start, np.full(8, np.inf)
+        for _ in range(DEPTH.homography_steps):
+            equations = self._linearise(first, second, matrix)
+            if equations is None:
+                return None
+            information, gradient = equations
+            step = -np.linalg.solve(information, gradient)
+            change = np.r_[step, 0.0].reshape(3, 3)
+            matrix = matrix @ (np.eye(3) + change)
+            if self._camera.focal * np.abs(step).max() < DEPTH.min_homography_step:
+                break
+        moved = self._camera.focal * _displacement(start, matrix, first.rays)
+        if not moved < DEPTH.max_homography_change:
+            return None
+        return MeasuredHomography(
+            first=pair[0], second=pair[1], matrix=matrix, information=information
+        )
+
+    def _prepare(self, number: int) -> _SmoothFrame:
+        """Return a smoothed frame, from the cache if it was used lately."""
+        if number not in self._cache:
+            while len(self._cache) > max(DEPTH.plane_gaps):
+                self._cache.pop(next(iter(self._cache)))
+            self._cache[number] = self._smooth(number)
+        return self._cache[number]
+
+    def _smooth(self, number: int) -> _SmoothFrame:
+        image = cv2.GaussianBlur(self._grey(number), (0, 0), DEPTH.homography_smoothing)
+        slopes = [
+            cv2.Sobel(image, cv2.CV_32F, *order, ksize=3, scale=1 / 8) for order in ((1, 0), (0, 1))
+        ]
+        stride = max(1, round(np.sqrt(image.size / DEPTH.homography_samples)))
+        side = 2 * DEPTH.homography_border + 1  # smoothing mixes pixels with their neighbours
+        used = cv2.erode(self._used_pixels(number).astype(np.uint8), np.ones((side, side))) > 0
+        rows, columns = np.nonzero(used[::stride, ::stride])
+        rows, columns = rows * stride, columns * stride
+        cx, cy = self._camera.center_for(*image.shape)
+        rays = np.column_stack([columns - cx, rows - cy, np.full(len(rows), self._camera.focal)])
+        return _SmoothFrame(
+            images=(image, *slopes),
+            used=used,
+            rays=rays / self._camera.focal,
+            grey=image[rows, columns].astype(np.float64),
+        )
+
+    def _linearise(
+        self, first: _SmoothFrame, second: _SmoothFrame, matrix: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return the normal equations of a step, (8, 8) and (8,); None with too few samples."""
+        focal, (height, width) = self._camera.focal, second.images[0].shape
+        center = self._camera.center_for(height, width)
+        moved = first.rays @ matrix.T
+        depth = np.where(moved[:, 2] > 0, moved[:, 2], np.inf)
+        position = moved[:, :2] / depth[:, None]
+        pixel = focal * position + center
+        last = np.array([width, height]) - 1 - DEPTH.homography_border
+        is_inside = ((pixel >= DEPTH.homography_border) & (pixel <= last)).all(axis=1)
+        is_inside &= np.isfinite(depth)
+        columns, rows = np.rint(np.where(is_inside[:, None], pixel, 0)).astype(np.intp).T
+        is_inside &= second.used[rows, columns]
+        if is_inside.sum() < DEPTH.min_overlap * len(is_inside):
+            return None
+        rays, grey = first.rays[is_inside], first.grey[is_inside]
+        position, depth, pixel = position[is_inside], depth[is_inside], pixel[is_inside]
+        warped, *slopes = _sample(second.images, pixel)
+        jacobian = np.empty((len(rays), 8))
+        for k, column in enumerate(matrix.T):  # an entry of D moves a ray along a column
+            along = column[:2] - position * column[2]
+            slope = focal / depth * (slopes[0] * along[:, 0] + slopes[1] * along[:, 1])
+            size = min(3, 8 - 3 * k)
+            jacobian[:, 3 * k : 3 * k + size] = slope[:, None] * rays[:, :size]
+        return _make_equations(jacobian, warped - grey, grey)
+
+
+def _make_equations(
+    jacobian: np.ndarray,  # (N, 8)
+    residual: np.ndarray,  # (N,): grey levels
+    grey: np.ndarray,  # (N,): grey levels of the first frame
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the robust normal equations, after a change of brightness was eliminated."""
+    brightness = np.column_stack([grey / MAX_GREY, np.ones(len(grey))])
+    residual = residual - brightness @ np.linalg.lstsq(brightness, residual, rcond=None)[0]
+    deviation = max(MAD_TO_DEVIATION * float(np.median(np.abs(residual))), DEPTH.min_grey_deviation)
+    weight = 1 / (1 + (residual / (DEPTH.outlier_scale * deviation)) ** 2) / deviation**2
+    weighted = jacobian * weight[:, None]
+    information, gradient = weighted.T @ jacobian, weighted.T @ residual
+    coupling = weighted.T @ brightness
+    change = np.linalg.solve(
+        (brightness * weight[:, None]).T @ brightness,
+        np.column_stack([coupling.T, (brightness * weight[:, None]).T @ residual]),
+    )
+    information -= coupling @ change[:, :8]
+    gradient -= coupling @ change[:, 8]
+    stiffness = DEPTH.min_homography_stiffness * np.trace(information)
+    return information + stiffness * np.eye(8), gradient
+
+
+def _sample(images: tuple[np.ndarray, ...], pixels: np.ndarray) -> list[np.ndarray]:
+    """Return images at positions, (N, 2) px, by cubic interpolation."""
+    count = len(pixels)
+    # OpenCV's remap does not accept long rows.
+    padded = np.zeros((-(-count // SAMPLE_ROW) * SAMPLE_ROW, 2), np.float32)
+    padded[:count] = pixels
+    x, y = (np.ascontiguousarray(column.reshape(-1, SAMPLE_ROW)) for column in padded.T)
+    return [
+        cv2.remap(image, x, y, cv2.INTER_CUBIC).ravel()[:count].astype(np.float64)
+        for image in images
+    ]
+
+
+def _displacement(first: np.ndarray, second: np.ndarray, rays: np.ndarray) -> float:
+    """Return the median distance of points moved by two homographies, in focal lengths."""
+    positions = [(p := rays @ matrix.T)[:, :2] / p[:, 2:] for matrix in (first, second)]
+    return float(np.median(np.linalg.norm(positions[1] - positions[0], axis=1)))
