@@ -69,7 +69,13 @@ def disturbed(poses, size=0.002):
 def align(frames, poses, points, observations, used=None):
     used = np.ones(SHAPE, bool) if used is None else used
     return align_plane(
-        poses, points, observations, frames.__getitem__, lambda _: used, CAMERA, SHAPE
+        poses,
+        dict(enumerate(points)),
+        observations,
+        frames.__getitem__,
+        lambda _: used,
+        CAMERA,
+        SHAPE,
     )
 
 
@@ -111,3 +117,12 @@ def test_frames_that_do_not_fit_are_not_aligned():
     points = on_plane()
     others = [np.roll(frame, 60 * (k % 2), axis=1) for k, frame in enumerate(frames)]
     assert align(others, dict(enumerate(true)), points, tracks(true, points)) is None
+
+
+def test_frames_without_texture_are_not_aligned():
+    frames, true = film()
+    points = on_plane()
+    bare = [np.full_like(frame, 120) for frame in frames]
+    assert align(bare, dict(enumerate(true)), points, tracks(true, points)) is None
+    pair = dict(enumerate(true[:2]))
+    assert align(frames, pair, points, tracks(true, points)) is None  # a path has three frames

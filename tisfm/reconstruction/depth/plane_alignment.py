@@ -21,7 +21,9 @@ from tisfm.reconstruction.depth.plane_homographies import (
 )
 from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.mapping.plane_motion import fit_plane
+from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.tracks.tracker import Observations
+from tisfm.reconstruction.tracks.triangulation import TrackPoints
 
 DERIVATIVE_STEP = 1e-6  # rad, and share of the plane's distance: of numerical derivatives
 
@@ -40,7 +42,7 @@ class _PlanePath:
 
 def align_plane(
     poses: Mapping[int, np.ndarray],  # by frame, in order: (4, 4), camera to world
-    points: np.ndarray,  # (N, 3): points of tracks, in the world
+    points: Mapping[int, np.ndarray],  # by track: (3,), in the world
     observations: Sequence[Observations],  # tracks in every frame
     # frame → (H, W) float32: grey levels; frame → (H, W) bool: pixels that are used
     grey: Callable[[int], np.ndarray],
@@ -50,9 +52,12 @@ def align_plane(
 ) -> dict[int, np.ndarray] | None:
     """Return aligned poses, by frame; None if the points do not all lie on one plane."""
     frames = list(poses)
+    if len(frames) < MAPPING.min_views:
+        return None
     origin = poses[frames[0]]
     to_first = np.linalg.inv(origin)
-    plane = fit_plane(points @ to_first[:3, :3].T + to_first[:3, 3])
+    known = points if isinstance(points, TrackPoints) else TrackPoints.from_mapping(points)
+    plane = fit_plane(known.positions @ to_first[:3, :3].T + to_first[:3, 3])
     if plane is None:
         return None
     distance = 1 / float(np.linalg.norm(plane))

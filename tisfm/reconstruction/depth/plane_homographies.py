@@ -113,7 +113,7 @@ class HomographySearch:
     def _linearise(
         self, first: _SmoothFrame, second: _SmoothFrame, matrix: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return the normal equations of a step, (8, 8) and (8,); None with too few samples."""
+        """Return the normal equations of a step, (8, 8) and (8,), or None: too few samples."""
         focal, (height, width) = self._camera.focal, second.images[0].shape
         center = self._camera.center_for(height, width)
         moved = first.rays @ matrix.T
@@ -143,8 +143,11 @@ def _make_equations(
     jacobian: np.ndarray,  # (N, 8)
     residual: np.ndarray,  # (N,): grey levels
     grey: np.ndarray,  # (N,): grey levels of the first frame
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the robust normal equations, after a change of brightness was eliminated."""
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the robust normal equations, after a change of brightness was eliminated.
+
+    None is returned if the image does not determine a homography.
+    """
     brightness = np.column_stack([grey / MAX_GREY, np.ones(len(grey))])
     residual = residual - brightness @ np.linalg.lstsq(brightness, residual, rcond=None)[0]
     deviation = max(MAD_TO_DEVIATION * float(np.median(np.abs(residual))), DEPTH.min_grey_deviation)
@@ -152,14 +155,16 @@ def _make_equations(
     weighted = jacobian * weight[:, None]
     information, gradient = weighted.T @ jacobian, weighted.T @ residual
     coupling = weighted.T @ brightness
-    change = np.linalg.solve(
-        (brightness * weight[:, None]).T @ brightness,
-        np.column_stack([coupling.T, (brightness * weight[:, None]).T @ residual]),
+    # An image of one grey level shows no factor: the pseudo-inverse leaves it at 1.
+    change = np.linalg.pinv((brightness * weight[:, None]).T @ brightness) @ np.column_stack(
+        [coupling.T, (brightness * weight[:, None]).T @ residual]
     )
     information -= coupling @ change[:, :8]
     gradient -= coupling @ change[:, 8]
-    stiffness = DEPTH.min_homography_stiffness * np.trace(information)
-    return information + stiffness * np.eye(8), gradient
+    strengths = np.linalg.eigvalsh(information)
+    if not strengths[0] > DEPTH.min_homography_strength * strengths[-1]:
+        return None
+    return information, gradient
 
 
 def _sample(images: tuple[np.ndarray, ...], pixels: np.ndarray) -> list[np.ndarray]:

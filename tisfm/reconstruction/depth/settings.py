@@ -134,8 +134,9 @@ class DepthSettings:
     max_homography_change: float = 2.0
     min_overlap: float = 0.3  # share of the pixels of a frame that the other frame shows
     min_grey_deviation: float = 0.1  # grey levels: smallest assumed deviation of noise
-    # share of the trace that is added to the diagonal, for frames with little texture
-    min_homography_stiffness: float = 1e-9
+    # smallest eigenvalue of the equations of a homography, divided by the largest: with less, the
+    # frames have too little texture
+    min_homography_strength: float = 1e-9
     # plane_alignment
     # distances, in frames, between two frames that are compared
     plane_gaps: tuple[int, ...] = (1, 2, 4, 8)

@@ -125,7 +125,7 @@ def _adjust_poses(
         return piece
     aligned = align_plane(
         piece.poses,
-        np.array(list(piece.points.values())).reshape(-1, 3),
+        piece.points,
         observations,
         frames.grey,
         frames.static_pixels,
