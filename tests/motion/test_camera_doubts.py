@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import tisfm
 from tests.rendered import static_scene
@@ -12,9 +13,11 @@ from tisfm.motion.camera_fit import (
     Cameras,
     change_cameras,
     find_derivatives,
-    find_points,
+    find_lines,
+    make_turns,
     undistort_points,
 )
+from tisfm.motion.camera_search import search_cameras
 from tisfm.motion.epipolar_fit import FreeUnknowns, Rays, refine_pose, rotation_alone
 from tisfm.motion.homographies import TWO_MOTIONS, resolve_plane
 from tisfm.rigid import rigid_motion
@@ -191,21 +194,49 @@ def test_rays_that_show_no_homography_are_no_error(kind, count):
 @pytest.mark.parametrize(("k1", "radius"), [(0.6, 1.0), (0.15, 0.8), (-0.1, 1.0), (-0.3, 0.9)])
 def test_a_distortion_is_undone(k1, radius):
     distorted = radius * (1 + k1 * radius**2)
-    (factor,) = undistort_points(np.array([distorted**2]), np.array([k1]))
+    ((factor,),) = undistort_points(np.array([distorted**2]), np.array([[k1]]))
     assert factor * distorted == pytest.approx(radius, rel=1e-3)
 
 
+def distances_of(rays, cameras):
+    return find_lines(change_cameras(rays, cameras), cameras).distances[0]
+
+
 @pytest.mark.parametrize("parameter", PARAMETERS)
-def test_derivatives_by_the_camera(parameter):
+@pytest.mark.parametrize("unknown", range(7))
+def test_derivatives_by_the_camera(parameter, unknown):
     rays, pose = rays_of(SIDEWAYS, noise=0.2)
-    step = 1e-5
-    around = [Cameras.of([parameter], [value], [pose]) for value in (-step, step)]
-    before, after = (find_points(rays, cameras).distance[0] for cameras in around)
+    around = []
+    for step in (-1e-6, 1e-6):
+        change = np.eye(7)[unknown] * step
+        turn = make_turns(change[None, 3:6])[0]
+        translation = turn @ pose[1] + change[:3]
+        moved = Cameras.of([parameter], [change[6]], [(turn @ pose[0], translation)])
+        around.append(distances_of(rays, moved))
+    expected = (around[1] - around[0]) / 2e-6
     stated = Cameras.of([parameter], [0.0], [pose])
-    expected = -(after - before) / (2 * step)
-    if parameter == "focal":  # the scale of px does not count
-        expected += find_points(rays, stated).distance[0]
     changed = change_cameras(rays, stated)
-    found = find_derivatives(changed, find_points(rays, stated), stated)[0]
-    correlation = np.corrcoef(found, expected)[0, 1]
-    assert correlation > 0.99 and np.abs(found - expected).mean() < 0.1 * np.abs(expected).mean()
+    lines = find_lines(changed, stated)
+    if (parameter, unknown) == ("focal", 6):  # the scale of px does not count
+        expected -= lines.distances[0]
+    rows = find_derivatives(changed, stated, lines, is_free=True)[0]
+    np.testing.assert_allclose(rows[-1] * lines.px[0], lines.distances[0])
+    np.testing.assert_allclose(
+        rows[unknown] * lines.px[0], expected, atol=1e-4 * np.abs(expected).max()
+    )
+
+
+def test_turns_are_those_of_rotation_vectors():
+    vectors = np.random.default_rng(0).normal(0, [[1e-12], [1e-4], [1.0]], (3, 3))
+    expected = Rotation.from_rotvec(vectors).as_matrix()
+    np.testing.assert_allclose(make_turns(vectors), expected, atol=1e-12)
+
+
+def test_single_precision_finds_the_same_camera(monkeypatch):
+    rays, pose = rays_of(SIDEWAYS, zoom=0.02, noise=0.1)
+    turn = rotation_alone(rays)
+    singles = search_cameras(rays, pose, turn)
+    monkeypatch.setattr(Rays, "as_single", lambda own: own)
+    for single, double in zip(singles, search_cameras(rays, pose, turn), strict=True):
+        assert single.gain == pytest.approx(double.gain, abs=0.02)
+        assert abs(single.best_value - double.best_value) < 0.05 * double.deviation

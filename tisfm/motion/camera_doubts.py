@@ -113,7 +113,7 @@ def _may_only_turn(rays: Rays, residual: float, rotation: np.ndarray) -> bool:
     )
     return (
         _polynomial_residual(rays, rotation) < limit
-        and measure_turning_residual(rays, rotation) < limit
+        and measure_turning_residual(rays, rotation, limit=limit) < limit
     )
 
 
@@ -136,6 +136,8 @@ def _polynomial_residual(rays: Rays, rotation: np.ndarray) -> float:
 def measure_turning_residual(
     rays: Rays,
     rotation: np.ndarray,  # (3, 3): where the fit starts
+    *,
+    limit: float = 0.0,  # px: a smaller residual ends the fit
 ) -> float:
     """Return the residual of a turn with any focal length and distortion, px.
 
@@ -156,7 +158,12 @@ def measure_turning_residual(
         residual = changed1 - rotated[:2] * nearness
         # px of the stated camera
         distance = rays.focal * np.exp(focal) * length(residual)
-        found = min(found, robust_deviation(distance, rays.trust) / float(np.sqrt(2)))
+        before, found = (
+            found,
+            min(found, robust_deviation(distance, rays.trust) / float(np.sqrt(2))),
+        )
+        if found < limit or found > INTRINSICS.max_turn_gain * before:
+            break
         noise = max(median(distance), INTRINSICS.min_turn_residual)
         weight = rays.trust / (1 + (distance / (2 * noise)) ** 2) ** 2
         # derivatives of `residual`, negated

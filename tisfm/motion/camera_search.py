@@ -7,23 +7,27 @@ the stated one. From the best step, parameter and motion are refined jointly.
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tisfm.motion.camera_fit import (
+    LARGEST,
     PARAMETERS,
     STEPS,
+    VALUES,
     Cameras,
     Parameter,
-    find_points,
+    change_cameras,
+    find_lines,
     improve_cameras,
+    make_turns,
     measure_costs,
     robust_deviations,
 )
 from tisfm.motion.camera_settings import INTRINSICS
-from tisfm.motion.epipolar_fit import Pose, Rays, nearest_points
+from tisfm.motion.epipolar_fit import Pose, Rays, triangulate_rays
 from tisfm.motion.homographies import find_near_plane, plane_poses
-from tisfm.visibility.confidence import median
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,38 +88,41 @@ def search_cameras(
 
     The focal length comes first.
     """
+    rays = rays.as_single()
     parameters = PARAMETERS[:1] if focal_only else PARAMETERS
     stated = Cameras.of(parameters, [0.0] * len(parameters), [pose] * len(parameters))
-    tried = _follow(rays, pose, parameters) + _try_other_motions(rays, pose, rotation)
-    tried = stated + improve_cameras(rays, tried, is_free=False)[0]
-    points = find_points(rays, tried)
-    deviations = robust_deviations(np.abs(points.distance), rays.trust)
+    tried, changed = _try_values(rays, stated, _find_other_motions(rays, pose, rotation))
+    lines = find_lines(changed, tried)
+    deviations = robust_deviations(np.abs(lines.distances), rays.trust)
     groups = tried.groups
     scales = np.array([deviations[groups == group].min() for group in range(len(parameters))])
     scales = np.maximum(scales, INTRINSICS.min_residual)
-    costs = measure_costs(points, rays, tried, scales)
+    costs = measure_costs(lines, rays, tried, scales)
     starts = []  # the best of each parameter and sign
     for group in range(len(parameters)):
         for sign in (1, -1):
             rows = np.flatnonzero((groups == group) & (sign * tried.values > 0))
             starts.append(rows[np.argmin(costs[rows])])
     refined = _refine(rays, tried.select(np.array(starts)))
-    refined_costs = measure_costs(find_points(rays, refined), rays, refined, scales)
-    found, found_costs = tried + refined, np.concatenate([costs, refined_costs])
+    lines = find_lines(change_cameras(rays, refined), refined)
+    refined_costs = measure_costs(lines, rays, refined, scales)
+    found, found_costs = Cameras.join([tried, refined]), np.concatenate([costs, refined_costs])
+    rows_of = [np.flatnonzero(found.groups == group) for group in range(len(parameters))]
+    best = np.array([rows[np.argmin(found_costs[rows])] for rows in rows_of])
+    best_cameras = found.select(best)
+    changed = change_cameras(rays, best_cameras)
+    _, deviations = improve_cameras(changed, best_cameras, is_free=True)
     searches = []
-    for group, parameter in enumerate(parameters):
-        rows = np.flatnonzero(found.groups == group)
-        best = rows[[np.argmin(found_costs[rows])]]
-        _, deviation = improve_cameras(rays, found.select(best), is_free=True)
+    for group, (parameter, rows) in enumerate(zip(parameters, rows_of, strict=True)):
         rows = rows[rows < len(costs)]
         searches.append(
             CameraSearch(
                 parameter=parameter,
                 tried=tried.select(rows),
                 costs=costs[rows],
-                best=found.select(best),
-                best_cost=float(found_costs[best[0]]),
-                deviation=float(deviation[0]),
+                best=found.select(best[[group]]),
+                best_cost=float(found_costs[best[group]]),
+                deviation=float(deviations[group]),
             )
         )
     return searches
@@ -123,14 +130,16 @@ def search_cameras(
 
 def measure_changes(rays: Rays, pose: Pose, cameras: Cameras) -> Changes:
     """Return what other cameras change in the result of the stated camera, whose pose is given."""
-    before = nearest_points(rays, *pose).inverse_depth
-    after = find_points(rays, cameras).inverse_depth
+    before = triangulate_rays(pose[0] @ rays.rays0, rays.rays1, pose[1])
+    changed = change_cameras(rays, cameras)
+    moved = cameras.rotations @ changed.rays0
+    after = triangulate_rays(moved, changed.rays1, cameras.translations)
     is_ahead = (before > 0) & (after > 0)
-    depth = np.full(len(after), np.inf)
-    for row, ahead in enumerate(is_ahead):
-        if 2 * np.count_nonzero(ahead) >= before.size:
-            ratio = after[row, ahead] / before[ahead]
-            depth[row] = median(np.abs(ratio / median(ratio) - 1))
+    with np.errstate(divide="ignore", invalid="ignore"):  # where a point is not ahead
+        ratios = after / before
+        ratios /= _find_medians(ratios, is_ahead)[:, None]
+        depth = _find_medians(np.abs(ratios - 1), is_ahead)
+    depth[2 * np.count_nonzero(is_ahead, axis=1) < before.size] = np.inf
     return Changes(
         depth=depth,
         direction=np.arccos(np.clip(cameras.translations @ pose[1], -1, 1)),
@@ -138,71 +147,101 @@ def measure_changes(rays: Rays, pose: Pose, cameras: Cameras) -> Changes:
     )
 
 
-def _follow(rays: Rays, pose: Pose, parameters: tuple[Parameter, ...]) -> Cameras:
-    """Return cameras of all values, whose motions follow from value to value.
+def _find_medians(values: np.ndarray, is_used: np.ndarray) -> np.ndarray:
+    """Return the medians of the used values of each row, (M, N); some number if none is used."""
+    ordered = np.sort(np.where(is_used, values, np.inf), axis=1)
+    counts = np.count_nonzero(is_used, axis=1)
+    rows = np.arange(len(values))
+    lower, upper = (
+        ordered[rows, middle] for middle in (np.maximum(counts - 1, 0) // 2, counts // 2)
+    )
+    return np.asarray(0.5 * (lower + upper))
 
-    The smallest values of a parameter come first.
+
+def _try_values(rays: Rays, stated: Cameras, far: Cameras) -> tuple[Cameras, Rays]:
+    """Return the stated cameras and cameras of all values, and the rays of all of them.
+
+    The motion of the stated camera follows from value to value; the smallest values of a parameter
+    come first. Then come the cameras `far`, which are improved in the same steps: an operation on
+    arrays takes little longer with more rows.
     """
-    signs = np.array([1.0, -1.0])
-    names = [name for name in parameters for _ in signs]
-    current = Cameras.of(names, [0.0] * len(names), [pose] * len(names))
-    found = current.select(np.array([], np.intp))
-    for step in range(max(map(len, STEPS.values()))):
-        rows = [row for row, name in enumerate(current.parameters) if step < len(STEPS[name])]
-        current = current.select(np.array(rows))
-        sizes = np.array([STEPS[name][step] for name in current.parameters])
-        current = replace(current, values=sizes * np.tile(signs, len(sizes) // 2))
-        current, _ = improve_cameras(rays, current, is_free=False)
-        found += current
-    return found
+    count, steps = 2 * len(stated.groups), VALUES.shape[1]
+    near = stated.select(np.arange(count) // 2)
+    signs = np.tile([1.0, -1.0], count // 2)
+    near_values = np.concatenate([signs * VALUES[near.groups, step] for step in range(steps)])
+    cameras = Cameras.join([stated, *[near] * steps, far])
+    cameras = replace(cameras, values=np.concatenate([stated.values, near_values, far.values]))
+    changed = change_cameras(rays, cameras)
+    first, last = len(stated.groups), len(cameras.groups)
+    first_far = last - len(far.groups)
+    for step in range(steps):
+        rows = np.arange(first + step * count, first + (step + 1) * count)
+        if step:
+            cameras.rotations[rows] = cameras.rotations[rows - count]
+            cameras.translations[rows] = cameras.translations[rows - count]
+        if step < INTRINSICS.other_iterations:
+            rows = np.concatenate([rows, np.arange(first_far, last)])
+        _improve_rows(changed, cameras, rows)
+    _improve_rows(changed, cameras, np.arange(first, last))
+    return cameras, changed
 
 
-def _try_other_motions(rays: Rays, pose: Pose, rotation: np.ndarray) -> Cameras:
+def _improve_rows(changed: Rays, cameras: Cameras, rows: np.ndarray) -> None:
+    """Improve the motions of some of the cameras in place."""
+    improved, _ = improve_cameras(changed.of_cameras(rows), cameras.select(rows), is_free=False)
+    cameras.rotations[rows] = improved.rotations
+    cameras.translations[rows] = improved.translations
+
+
+def _find_other_motions(rays: Rays, pose: Pose, rotation: np.ndarray) -> Cameras:
     """Return focal lengths with motions that may be far from the motion of the stated one.
 
     If the scene is nearly a plane, these are the motions of the plane; if the camera mainly turns,
     it is a translation that the turn leaves.
     """
     homography = find_near_plane(rays, pose)
-    turn = Rotation.from_matrix(rotation).as_rotvec()
-    values, starts = [], []
-    for value in (sign * value for value in STEPS["focal"] for sign in (1, -1)):
-        changed = _change_focal(rays, value)
-        smaller_turn = Rotation.from_rotvec(turn * np.exp(-value)).as_matrix()
-        poses = [(smaller_turn, _remaining_direction(changed, smaller_turn))]
-        if homography is not None:
-            scale = np.diag([np.exp(-value), np.exp(-value), 1.0])
-            poses += plane_poses(scale @ homography @ np.linalg.inv(scale), changed)
-        starts += poses
-        values += [value] * len(poses)
-    cameras = Cameras.of(["focal"] * len(values), values, starts)
-    for _ in range(INTRINSICS.other_iterations):
-        cameras, _ = improve_cameras(rays, cameras, is_free=False)
-    return cameras
-
-
-def _change_focal(rays: Rays, value: float) -> Rays:
-    """Return rays with another focal length; `value` is its logarithm over the stated one."""
-    factor = float(np.exp(-value))
-    return Rays(
-        rays0=np.vstack([rays.rays0[:2] * factor, rays.rays0[2:]]),
-        rays1=rays.rays1 * factor,
-        trust=rays.trust,
-        focal=rays.focal / factor,
+    values = np.outer(STEPS["focal"], (1, -1)).ravel()
+    factors = np.exp(-values)
+    turns = make_turns(factors[:, None] * cv2.Rodrigues(rotation)[0][:, 0])
+    cameras = Cameras(
+        groups=np.zeros(len(values), np.intp),
+        values=values,
+        rotations=turns,
+        translations=np.zeros((len(values), 3)),
     )
+    changed = change_cameras(rays, cameras)
+    cameras = replace(cameras, translations=_find_remaining_directions(changed, turns))
+    if homography is None:
+        return cameras
+    plane_values, poses = [], []
+    for value, factor in zip(values, factors, strict=True):
+        scale = np.array([factor, factor, 1.0])
+        rays0 = rays.rays0 * scale[:, None]
+        of_value = plane_poses(homography * scale[:, None] / scale, rays0)
+        poses += of_value
+        plane_values += [value] * len(of_value)
+    if not poses:
+        return cameras
+    return Cameras.join([cameras, Cameras.of(["focal"] * len(poses), plane_values, poses)])
 
 
-def _remaining_direction(rays: Rays, rotation: np.ndarray) -> np.ndarray:
-    """Return the direction of translation, (3,), that fits rays best after a rotation."""
-    rays1 = np.vstack([rays.rays1, np.ones(rays.trust.size)])
-    normals = np.cross(rotation @ rays.rays0, rays1, axis=0) * rays.trust
-    return np.asarray(np.linalg.eigh(normals @ normals.T)[1][:, 0])
+def _find_remaining_directions(rays: Rays, rotations: np.ndarray) -> np.ndarray:
+    """Return the directions of translation, (M, 3), that fit rays of cameras after rotations."""
+    x, y, z = np.swapaxes(rotations @ rays.rays0, 0, 1)
+    x1, y1 = np.swapaxes(rays.rays1, 0, 1)
+    normals = np.stack([y - z * y1, z * x1 - x, x * y1 - y * x1], axis=1) * rays.trust
+    return np.asarray(np.linalg.eigh(normals @ np.swapaxes(normals, 1, 2))[1][:, :, 0])
 
 
 def _refine(rays: Rays, cameras: Cameras) -> Cameras:
     """Return cameras whose values and motions were improved jointly."""
-    largest = INTRINSICS.max_overshoot * np.array([max(STEPS[name]) for name in cameras.parameters])
+    largest = INTRINSICS.max_overshoot * LARGEST[cameras.groups]
     for _ in range(INTRINSICS.joint_iterations):
-        cameras, _ = improve_cameras(rays, cameras, is_free=True)
+        before = cameras.values
+        changed = change_cameras(rays, cameras)
+        cameras, deviations = improve_cameras(changed, cameras, is_free=True)
         cameras = replace(cameras, values=np.clip(cameras.values, -largest, largest))
+        change = np.abs(cameras.values - before)
+        if (change < INTRINSICS.min_joint_step * deviations).all():
+            break
     return cameras

@@ -53,6 +53,7 @@ class IntrinsicsSettings:
     max_undistortion: float = 3.0  # largest factor of a point without the distortion
     other_iterations: int = 3  # iterations of a motion that is far from the stated camera's
     joint_iterations: int = 6  # iterations of motion and value, from the best value
+    min_joint_step: float = 0.05  # deviations of the values: shorter steps end these iterations
     # standard deviations of a value from 0, and by which it explains the rays better
     min_significance: float = 2.5
     min_gain: float = 2.3
@@ -77,6 +78,8 @@ class IntrinsicsSettings:
     max_direction_deviation: float = 4.3
     min_direction_residual: float = 0.005  # px of the level: smaller residuals count as this
     turn_iterations: int = 8  # iterations of the fit of a turn
+    # residual over that of the iteration before, above which more iterations are useless
+    max_turn_gain: float = 0.99
     min_turn_step: float = 1e-4  # rad, and in both parameters: a shorter step ends this fit
     turn_degree: int = 3  # degree of the polynomials that turns are nearly
     # standard deviations of the logarithm of the focal length and of k₁ in this fit, and their

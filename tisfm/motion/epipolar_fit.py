@@ -1,6 +1,6 @@
 """Rigid motions from corresponding rays, by robust distances from epipolar lines."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -45,6 +45,17 @@ class Rays:
         rays0, rays1, trust = (
             np.ascontiguousarray(array[..., ::stride])
             for array in (self.rays0, self.rays1, self.trust)
+        )
+        return Rays(rays0=rays0, rays1=rays1, trust=trust, focal=self.focal)
+
+    def of_cameras(self, rows: np.ndarray) -> "Rays":
+        """Return the rays of some of several cameras."""
+        return replace(self, rays0=self.rays0[rows], rays1=self.rays1[rows], focal=self.focal[rows])
+
+    def as_single(self) -> "Rays":
+        """Return the rays in single precision."""
+        rays0, rays1, trust = (
+            array.astype(np.float32) for array in (self.rays0, self.rays1, self.trust)
         )
         return Rays(rays0=rays0, rays1=rays1, trust=trust, focal=self.focal)
 

@@ -45,16 +45,17 @@ def sample_homographies(rays: Rays) -> list[np.ndarray]:
 
 def plane_poses(
     homography: np.ndarray,  # (3, 3): for normalised coordinates
-    rays: Rays,
+    rays0: np.ndarray,  # (3, N)
     *,
     min_share: float = 0.5,  # smallest share of the rays that meet the plane in front
 ) -> list[Pose]:
     """Return the motions of a homography whose plane lies in front of the camera."""
     _, rotations, translations, normals = cv2.decomposeHomographyMat(homography, np.eye(3))
+    in_front = np.count_nonzero(np.hstack(normals).T @ rays0 > 0, axis=1)
     poses: list[Pose] = []
-    for rotation, translation, normal in zip(rotations, translations, normals, strict=True):
+    for rotation, translation, count in zip(rotations, translations, in_front, strict=True):
         norm = float(np.linalg.norm(translation))
-        if norm > 0 and np.quantile(normal[:, 0] @ rays.rays0, 1 - min_share) > 0:
+        if norm > 0 and count > min_share * rays0.shape[1]:
             poses.append((np.asarray(rotation), np.asarray(translation[:, 0]) / norm))
     return poses
 
@@ -83,7 +84,7 @@ def resolve_plane(
     smallest = max(residual, SPARSE.min_plane_distance)
     if homography_error > SPARSE.max_plane_ratio * smallest:
         return pose, None
-    in_front = plane_poses(homography, sample, min_share=SPARSE.min_front_share)
+    in_front = plane_poses(homography, sample.rays0, min_share=SPARSE.min_front_share)
     others = [
         (rotation, translation)
         for start in in_front

@@ -83,7 +83,7 @@ def sparse_motions(
     homographies = sample_homographies(rays)
     starts = essential_poses(rays, SPARSE.inlier_distances, draws=SPARSE.max_draws)
     for homography in homographies:
-        starts += plane_poses(homography, rays)
+        starts += plane_poses(homography, rays.rays0)
     starts = _without_duplicates(starts)
     motions = [
         motion
