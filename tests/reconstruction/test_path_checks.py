@@ -14,7 +14,7 @@ from tests.rendered import room_film
 from tisfm.cli.reconstruct import _tell
 from tisfm.errors import InputError
 from tisfm.reconstruction.frames.image_motion import chain_flows
-from tisfm.reconstruction.path_checks import dense_pairs
+from tisfm.reconstruction.path_checks import dense_pairs, pieces
 from tisfm.reconstruction.path_checks.dense_pairs import find_matching_pixels
 from tisfm.reconstruction.path_checks.pieces import choose_second_frame
 from tisfm.reconstruction.result.calibration import GIVEN
@@ -72,6 +72,21 @@ def test_right_path_is_not_contradicted(tmp_path):
     assert len(check.pairs) >= 2 and check.infinity_motion > 5
     assert tisfm.Reconstruction.load(tmp_path).checks == result.checks
     assert not (tmp_path / FIXED_MASK).exists()
+
+
+def test_a_pair_is_checked_once(monkeypatch):
+    """Two keyframes may be the best partners of each other."""
+    monkeypatch.setattr(pieces, "choose_second_frame", lambda first, *_: first ^ 1)
+    chosen = []
+    monkeypatch.setattr(
+        pieces, "check_pair", lambda first, second, *_: chosen.append((first, second))
+    )
+    monkeypatch.setattr(pieces, "check_with_pairs", lambda pairs, *_: pairs)
+    poses = dict.fromkeys(range(6), np.eye(4))
+    pieces.check_piece(
+        poses, range(6), {}, lambda _: np.zeros((2, 3)), lambda _: None, lambda _: None, None
+    )
+    assert chosen and len({frozenset(pair) for pair in chosen}) == len(chosen)
 
 
 OBJECTS = tisfm.Settings.preset("fast", motion="objects")

@@ -10,8 +10,7 @@ from tisfm.motion.epipolar_fit import (
     MIN_STIFFNESS,
     Pose,
     Rays,
-    distance_jacobian,
-    fix_scale,
+    find_direction_covariance,
     length,
     nearest_points,
     robust_deviation,
@@ -61,14 +60,13 @@ def measure_direction_deviation(
     pose: Pose,  # the motion that fits the rays best, ‖t‖ = 1
 ) -> float:
     """Return the standard deviation of the direction of translation, degrees, where it is worst."""
-    points = nearest_points(rays, *pose)
-    deviation = robust_deviation(np.abs(points.distance), rays.trust)
-    scale = max(deviation, INTRINSICS.min_direction_residual)
-    weight = rays.trust / (1 + (points.distance / (2 * scale)) ** 2) ** 2
-    weight *= INTRINSICS.independent_rays / (scale**2 * weight.size)
-    jacobian = distance_jacobian(points, rays.focal)
-    covariance = np.linalg.inv(fix_scale((jacobian * weight) @ jacobian.T, pose[1]))
-    largest = float(np.linalg.eigvalsh(covariance[:3, :3])[-1])
+    covariance = find_direction_covariance(
+        rays,
+        pose,
+        independent_rays=INTRINSICS.independent_rays,
+        min_scale=INTRINSICS.min_direction_residual,
+    )
+    largest = float(np.linalg.eigvalsh(covariance)[-1])
     return float(np.degrees(np.sqrt(max(largest, 0.0))))
 
 

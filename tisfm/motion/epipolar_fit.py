@@ -286,6 +286,23 @@ def distance_jacobian(points: EpipolarPoints, focal: float | np.ndarray) -> np.n
     return jacobian
 
 
+def find_direction_covariance(
+    rays: Rays,
+    pose: Pose,  # the motion that fits the rays best, ‖t‖ = 1
+    *,
+    independent_rays: float,  # rays with independent errors; neighbours share errors of the flow
+    min_scale: float,  # px: smallest deviation of the distances from epipolar lines
+) -> np.ndarray:
+    """Return the covariance of the direction of translation, (3, 3), by a robust fit."""
+    points = nearest_points(rays, *pose)
+    scale = max(robust_deviation(np.abs(points.distance), rays.trust), min_scale)
+    weight = rays.trust / (1 + (points.distance / (2 * scale)) ** 2) ** 2
+    weight *= independent_rays / (scale**2 * weight.size)
+    jacobian = distance_jacobian(points, rays.focal)
+    matrix = fix_scale((jacobian * weight) @ jacobian.T, pose[1])
+    return np.asarray(np.linalg.inv(matrix)[:3, :3])
+
+
 def rotation_alone(rays: Rays) -> np.ndarray:
     """Return the rotation, (3, 3), that fits the displacements best without translation."""
     rotation = np.eye(3)

@@ -10,7 +10,7 @@ from tisfm.motion.epipolar_fit import (
     Pose,
     Rays,
     distance_jacobian,
-    fix_scale,
+    find_direction_covariance,
     length,
     nearest_points,
     robust_deviation,
@@ -80,10 +80,13 @@ def measure_turn(rotation: np.ndarray) -> float:
 
 def find_direction_deviation(rays: Rays, pose: Pose) -> float:
     """Return the standard deviation of the direction of translation of a fitted motion, degrees."""
-    points = nearest_points(rays, *pose)
-    matrix, _ = _make_normal_equations(points, rays, distance_jacobian(points, rays.focal))
-    covariance = np.linalg.inv(fix_scale(matrix, pose[1]))
-    return float(np.degrees(np.sqrt(max(float(np.trace(covariance[:3, :3])), 0.0))))
+    covariance = find_direction_covariance(
+        rays,
+        pose,
+        independent_rays=rays.trust.size / PATH_CHECKS.correlated_pixels,
+        min_scale=PATH_CHECKS.min_scale,
+    )
+    return float(np.degrees(np.sqrt(max(float(np.trace(covariance)), 0.0))))
 
 
 def correlate_depth(

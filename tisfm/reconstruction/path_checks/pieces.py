@@ -44,35 +44,34 @@ def check_piece(
     camera: Camera,  # pinhole camera of the frames
     kept_flow: KeptFlow = lambda _: None,
 ) -> PathCheck:
-    """Check a piece of a path by pairs of its frames."""
+    """Check a piece of a path by pairs of its frames; each pair is checked once."""
+    checked: set[frozenset[int]] = set()
     pairs = []
     for first in choose_first_frames(list(poses), keyframes):
-        pair = check_pair(
-            first, poses, observations, grey, is_static, camera, inverse_depth, kept_flow
-        )
+        second = choose_second_frame(first, list(poses), observations, max(grey(first).shape))
+        if second is None or frozenset((first, second)) in checked:
+            continue
+        checked.add(frozenset((first, second)))
+        pair = check_pair(first, second, poses, grey, is_static, camera, inverse_depth, kept_flow)
         if pair is not None:
             pairs.append(pair)
     return check_with_pairs(pairs, poses, grey, camera)
 
 
 def check_pair(
-    frame: int,
+    first: int,
+    second: int,
     poses: Mapping[int, np.ndarray],  # poses and the arguments after it: as for a piece
-    observations: FrameObservations,
     grey: Callable[[int], np.ndarray],
     is_static: Callable[[int], np.ndarray],
     camera: Camera,
     inverse_depth: Callable[[int], np.ndarray | None] = lambda _: None,
     kept_flow: KeptFlow = lambda _: None,
 ) -> PairEvidence | None:
-    """Return the evidence of a frame and another one; None if no other frame is suitable.
+    """Return the evidence of a pair of frames; None if too few of its pixels are textured.
 
     If the image motion between the frames was kept, the pair goes forward in time.
     """
-    first = frame
-    second = choose_second_frame(first, list(poses), observations, max(grey(first).shape))
-    if second is None:
-        return None
     flow = chain_kept_flow(kept_flow, *sorted((first, second)))
     if flow is not None:
         first, second = sorted((first, second))

@@ -6,7 +6,11 @@ from collections.abc import Mapping
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.path_checks.fixed_texture import spread_evenly
-from tisfm.reconstruction.path_checks.pieces import check_pair, check_with_pairs
+from tisfm.reconstruction.path_checks.pieces import (
+    check_pair,
+    check_with_pairs,
+    choose_second_frame,
+)
 from tisfm.reconstruction.path_checks.settings import PATH_CHECKS
 from tisfm.reconstruction.result.path_check import PairEvidence, PathCheck
 from tisfm.reconstruction.result.statuses import contradict
@@ -50,10 +54,18 @@ class StreamChecks:
         new_frames = [frame for frame in poses if first <= frame <= last]
         evidence = self._evidence.setdefault(number, deque(maxlen=PATH_CHECKS.max_pairs))
         for frame in spread_evenly(new_frames, PATH_CHECKS.max_stream_pairs):
+            other = choose_second_frame(
+                frame,
+                list(poses),
+                self._path.observations,
+                max(self._frames.grey(frame).shape),
+            )
+            if other is None:
+                continue
             pair = check_pair(
                 frame,
+                other,
                 poses,
-                self._path.observations,
                 self._frames.grey,
                 self._frames.static_pixels,
                 self._frames.camera,
