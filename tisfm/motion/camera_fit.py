@@ -139,15 +139,7 @@ def improve_cameras(
         turned = np.where(is_behind[:, None], -cameras.translations, cameras.translations)
         cameras = replace(cameras, translations=turned)
         found = find_lines(changed, cameras)
-    distances = found.distances
-    scales = np.maximum(robust_deviations(np.abs(distances), trust), INTRINSICS.min_residual)
-    distances *= (0.5 / scales)[:, None]
-    distances *= distances
-    distances += 1
-    weight = found.px / distances
-    weight *= weight
-    weight *= trust * (INTRINSICS.independent_rays / (scales**2 * trust.size))[:, None]
-    weight[found.sides <= 0] *= INTRINSICS.weight_behind
+    weight = _weigh_rays(found, trust)
     rows = find_derivatives(changed, cameras, found, is_free=is_free)
     equations = (rows[:, :-1] * weight[:, None]) @ np.swapaxes(rows, 1, 2)
     matrix = equations[:, :, :-1].astype(np.float64)
@@ -172,6 +164,23 @@ def improve_cameras(
         cameras, values=values, rotations=turns @ cameras.rotations, translations=translations
     )
     return improved, deviations
+
+
+def _weigh_rays(
+    found: EpipolarLines,
+    trust: np.ndarray,  # (N,)
+) -> np.ndarray:
+    """Return robust weights of squared offsets, (M, N), in squared standard deviations."""
+    distances = found.distances
+    scales = np.maximum(robust_deviations(np.abs(distances), trust), INTRINSICS.min_residual)
+    distances *= (0.5 / scales)[:, None]
+    distances *= distances
+    distances += 1
+    weight = found.px / distances
+    weight *= weight
+    weight *= trust * (INTRINSICS.independent_rays / (scales**2 * trust.size))[:, None]
+    weight[found.sides <= 0] *= INTRINSICS.weight_behind
+    return np.asarray(weight)
 
 
 def find_derivatives(
@@ -261,7 +270,7 @@ def change_cameras(rays: Rays, cameras: Cameras) -> Rays:
         rays0=moved0,
         rays1=x1 * factor1[:, None],
         trust=rays.trust,
-        focal=focal,  # type: ignore[arg-type]  # (M, 1)
+        focal=focal,  # (M, 1)
     )
 
 
