@@ -50,7 +50,8 @@ class Rays:
 
     def of_cameras(self, rows: np.ndarray) -> "Rays":
         """Return the rays of some of several cameras."""
-        return replace(self, rays0=self.rays0[rows], rays1=self.rays1[rows], focal=self.focal[rows])
+        focal = np.asarray(self.focal)[rows]
+        return replace(self, rays0=self.rays0[rows], rays1=self.rays1[rows], focal=focal)
 
     def as_single(self) -> "Rays":
         """Return the rays in single precision."""
