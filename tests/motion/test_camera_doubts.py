@@ -188,7 +188,8 @@ def test_rays_that_show_no_homography_are_no_error(kind, count):
     chosen, _ = resolve_plane(rays, pose, 0.1)
     assert np.isfinite(chosen[1]).all()
     if kind != "untrusted":
-        examine_camera(rays, pose, np.eye(3))
+        _, evidence = examine_camera(rays, pose, np.eye(3))
+        assert np.isfinite(evidence.value_deviation)
 
 
 @pytest.mark.parametrize(("k1", "radius"), [(0.6, 1.0), (0.15, 0.8), (-0.1, 1.0), (-0.3, 0.9)])

@@ -156,7 +156,9 @@ def improve_cameras(
     step = solutions[:, :, 0]
     values, deviations = cameras.values, np.full(len(cameras.values), np.inf)
     if is_free:
-        values, deviations = values + step[:, 6], np.sqrt(solutions[:, 6, 1])
+        values, variances = values + step[:, 6], solutions[:, 6, 1]
+        # single precision may leave no positive variance: such rays say nothing about the value
+        deviations = np.sqrt(np.where(variances > 0, variances, cameras.priors**2))
     turns = make_turns(step[:, 3:6])
     translations = (turns @ cameras.translations[..., None])[..., 0] + step[:, :3]
     translations /= np.sqrt((translations * translations).sum(axis=1, keepdims=True))
