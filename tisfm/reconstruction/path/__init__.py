@@ -2,7 +2,7 @@
 
 May import: `camera`, `checks`, `errors`, `shutter`, `status`, `trajectory`,
 `reconstruction.calibration`, `reconstruction.causes`, `reconstruction.frames`,
-`reconstruction.geometry`, `reconstruction.mapping`, `reconstruction.result`,
-`reconstruction.rolling_shutter`, `reconstruction.rotation`, `reconstruction.submaps` and
-`reconstruction.tracks`.
+`reconstruction.geometry`, `reconstruction.joints`, `reconstruction.mapping`,
+`reconstruction.result`, `reconstruction.rolling_shutter`, `reconstruction.rotation`,
+`reconstruction.submaps` and `reconstruction.tracks`.
 """
