@@ -220,5 +220,6 @@ def _merge(earlier: Piece, later: Piece, similarity: np.ndarray) -> Piece:
         earlier,
         poses={**earlier.poses, **moved},
         views=(*earlier.views, *later.views),
+        joints=(*earlier.joints, min(later.poses), *later.joints),
         points=moved_points | TrackPoints.from_mapping(earlier.points),
     )

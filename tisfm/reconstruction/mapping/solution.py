@@ -55,6 +55,9 @@ class Piece:
     views: tuple[int, ...]  # frames whose poses were adjusted together with the points
     # by track number: (3,) float64, position in the world
     points: Mapping[int, np.ndarray]
+    # First frames of parts that were joined to the part before them by their images (see
+    # `tisfm.reconstruction.joints`). Parts share no tracks.
+    joints: tuple[int, ...] = ()
     # Whether the camera only turns. Then its positions are unknown: poses have the position 0, and
     # there are no points.
     only_turns: bool = False
