@@ -15,9 +15,12 @@ from tisfm.reconstruction.joints import joint_search
 from tisfm.reconstruction.joints.alignment import Aligner
 from tisfm.reconstruction.joints.joint_search import find_joint, join_pieces
 from tisfm.reconstruction.mapping.solution import Piece
+from tisfm.reconstruction.path.path_solver import PathSolver
+from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracks
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.triangulation import TrackPoints
 from tisfm.rigid import pose_matrix
+from tisfm.scenes import Film
 
 COUNT, HALF = 14, 7
 # The later piece has other axes, another origin and another scale than the earlier one.
@@ -44,6 +47,10 @@ def true_piece(film, frames, world=None, seed=0):
     observations = {frame: Observations(points=places[:0], tracks=tracks[:0]) for frame in frames}
     observations[first] = Observations(points=places, tracks=tracks)
     return piece, observations
+
+
+def replace_camera(camera, distortion):
+    return tisfm.Camera(focal=camera.focal, distortion=distortion)
 
 
 def two_pieces(film, gap=1, *, other=None):
@@ -117,19 +124,55 @@ def test_pieces_far_apart_in_time_turning_pieces_and_small_pieces_stay_apart():
     assert len(join_pieces([pieces[0], few], observations, film.camera, grey)) == 2
 
 
-def test_a_rival_leaves_pieces_apart():
+def striped_film(wavelength):
+    """Return a film of a camera that moves along a wall of stripes, 2 m away."""
+    camera, height, width = tisfm.Camera(focal=180.0), 120, 200
+    poses = films.along(COUNT, (0.05, 0, 0, 0, 0, 0))
+    columns, rows = np.meshgrid(np.arange(width), np.arange(height))
+    x = (columns - (width - 1) / 2) / 180 * 2.0
+    y = (rows - (height - 1) / 2) / 180 * 2.0
+    frames = [
+        128 + 50 * np.sin(2 * np.pi * (x + pose[0, 3]) / wavelength) * np.cos(9 * y)
+        for pose in poses
+    ]
+    depth = np.full((COUNT, height, width), 2.0)
+    return Film(frames=np.rint(frames).astype(np.uint8), depth=depth, poses=poses, camera=camera)
+
+
+def test_a_repeated_pattern_leaves_pieces_apart():
+    film = striped_film(wavelength=0.35)
+    pieces, observations = two_pieces(film)
+    assert len(join_pieces(pieces, observations, film.camera, film.frames.__getitem__)) == 2
+
+
+def test_dark_frames_leave_pieces_apart_without_a_warning(recwarn):
     film = films.walk(COUNT)
     pieces, observations = two_pieces(film)
-    refine, number = Aligner.refine, iter(range(2))
+    dark = np.full_like(film.frames, 10)
+    assert len(join_pieces(pieces, observations, film.camera, dark.__getitem__)) == 2
+    assert not recwarn.list
 
-    def refine_to_rivals(self, start):
-        alignment = refine(self, start)
-        turn = pose_matrix((0, 0, 0, 0, 0.05 * next(number), 0))
-        return replace(alignment, similarity=turn @ alignment.similarity)
 
-    with mock.patch.object(Aligner, "refine", refine_to_rivals):
-        joined = join_pieces(pieces, observations, film.camera, film.frames.__getitem__)
-    assert len(joined) == 2
+@pytest.mark.parametrize(
+    ("joins_pieces", "distortion", "expected"),
+    [(True, None, True), (False, None, False), (True, (-0.1, 0.0, 0.0, 0.0), False)],
+)
+def test_only_images_that_belong_to_the_tracks_join_pieces(joins_pieces, distortion, expected):
+    film = films.walk(COUNT)
+    pieces, observations = two_pieces(film)
+    camera = replace_camera(film.camera, distortion)
+    tracks = SequenceTracks(
+        observations=observations, views=(), matches={}, distinct_count=COUNT, shape=(180, 240)
+    )
+    solver = PathSolver(
+        tracks=tracks, camera=camera, grey=film.frames.__getitem__, joins_pieces=joins_pieces
+    )
+    solution = solver.complete_solution(pieces, (), observations, camera)
+    joined = solver._join_pieces(solution)
+    assert (len(joined.pieces) == 1) == expected
+    if expected:
+        assert joined.pieces[0].joints == (HALF,)
+        assert not joined.missing_frames
 
 
 def test_pieces_whose_patches_disagree_stay_apart():

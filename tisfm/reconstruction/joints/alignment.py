@@ -49,6 +49,11 @@ class PieceEnd:
             for number in range(len(self.levels[0]))
         ]
 
+    @property
+    def patch_count(self) -> int:
+        """Number of patches at the level that has fewest."""
+        return min(len(patches) for patches in self.patches)
+
     @cached_property
     def median_depth(self) -> float:
         """The median depth of the points."""

@@ -9,6 +9,7 @@ seven unknowns of a similarity, so lines suffice: no patch has to determine a mo
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
+import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -50,22 +51,26 @@ def find_joint(
     gap: int,  # number of frames from the last frame of the earlier piece to that of the later one
 ) -> np.ndarray | None:
     """Return the similarity, (4, 4), from the later to the earlier world; None for no joint."""
+    if min(earlier.patch_count, later.patch_count) < JOINTS.min_points:
+        return None
     aligner = Aligner(earlier=earlier, later=later)
     coarse = sorted(
         (aligner.align_coarsely(start) for start in _starts(earlier, later, gap)),
         key=lambda alignment: -alignment.score,
     )
-    best, other = sorted(
-        (aligner.refine(alignment.similarity) for alignment in coarse[:2]),
-        key=lambda alignment: -alignment.score,
-    )
+    if coarse[0].score < JOINTS.min_coarse_score:
+        return None
+    best = aligner.refine(coarse[0].similarity)
+    others = [each for each in coarse[1:] if _differ(each, coarse[0], earlier, later)]
+    if others:
+        best = max(best, aligner.refine(others[0].similarity), key=lambda each: each.score)
     is_certain = (
         _fits_well(best, earlier, later)
-        and not _is_rival(other, best)
         and _agree(
             aligner.refine_one_way(best.similarity, shows_earlier=True),
             aligner.refine_one_way(best.similarity, shows_earlier=False),
         )
+        and not _has_rival(best, aligner)
     )
     return best.similarity if is_certain else None
 
@@ -79,15 +84,59 @@ def _fits_well(alignment: Alignment, earlier: PieceEnd, later: PieceEnd) -> bool
     )
 
 
-def _is_rival(other: Alignment, best: Alignment) -> bool:
+def _has_rival(best: Alignment, aligner: Aligner) -> bool:
     """Return whether another similarity explains the images nearly as well.
 
-    Repeated tiles give rivals.
+    Repeated tiles give rivals: there the later piece may be shifted along the surface.
     """
-    turn, log_scale = _difference(other, best)
-    return other.score > JOINTS.min_rival_score * best.score and (
-        turn > JOINTS.max_turn_difference or log_scale > JOINTS.max_scale_difference
-    )
+    earlier, later = aligner.earlier, aligner.later
+    for start in _shifted_starts(best.similarity, earlier, later):
+        other = aligner.refine(start)
+        is_as_good = other.score > JOINTS.min_rival_score * best.score
+        if is_as_good and _differ(other, best, earlier, later):
+            return True
+    return False
+
+
+def _shifted_starts(similarity: np.ndarray, earlier: PieceEnd, later: PieceEnd) -> list[np.ndarray]:
+    """Return similarities that shift the later piece sideways, where the images agree best.
+
+    They are local maxima of the mean correlation over a grid of shifts, at the coarsest level.
+    """
+    level = earlier.levels[0][-1]
+    shape = level.image.shape
+    unit = level.factor / earlier.camera.focal * earlier.median_depth  # of a pixel of this level
+    rows, columns = (_shift_steps(side) for side in shape)
+    shifted = np.tile(similarity, (len(rows), len(columns), 1, 1))
+    scores = np.zeros((len(rows), len(columns)))
+    for i, j in np.ndindex(scores.shape):
+        shift = earlier.poses[0][:3, :3] @ (columns[j] * unit, rows[i] * unit, 0.0)
+        shifted[i, j, :3, 3] += shift
+        to_camera = later.to_cameras[0] @ np.linalg.inv(shifted[i, j])
+        scores[i, j] = later.score(earlier.patches[-1], to_camera, level=-1)
+    is_maximum = scores >= cv2.dilate(scores, np.ones((3, 3)))
+    is_maximum &= np.hypot(rows[:, None], columns) > JOINTS.turn_step
+    places = np.argwhere(is_maximum & (scores > JOINTS.min_coarse_score))
+    places = sorted(places.tolist(), key=lambda place: -scores[place[0], place[1]])
+    return [shifted[i, j] for i, j in places[: JOINTS.max_rivals]]
+
+
+def _shift_steps(side: int) -> np.ndarray:
+    """Return shifts along a side of a frame, px of its level."""
+    extent = int(JOINTS.max_turn * side)
+    return np.arange(-extent, extent + 1, JOINTS.turn_step, dtype=np.float64)
+
+
+def _differ(first: Alignment, second: Alignment, earlier: PieceEnd, later: PieceEnd) -> bool:
+    """Return whether two alignments show the points of the later piece at different places."""
+    points = later.patches[0].points.mean(axis=1)
+    places = []
+    for alignment in (first, second):
+        moved = transform_points(alignment.similarity, points)
+        local = transform_points(np.linalg.inv(earlier.poses[0]), moved)
+        places.append(local[:, :2] / np.maximum(local[:, 2:], 1e-3 * earlier.median_depth))
+    distance = np.median(np.linalg.norm(places[0] - places[1], axis=1)) * earlier.camera.focal
+    return bool(distance > JOINTS.min_rival_distance * max(earlier.shape))
 
 
 def _agree(first: Alignment, second: Alignment) -> bool:
@@ -149,10 +198,7 @@ def _find_turn(earlier: PieceEnd, later: PieceEnd) -> np.ndarray:
     """
     level = earlier.levels[0][-1]
     height, width = level.image.shape
-    steps = [
-        np.arange(-extent, extent + 1, JOINTS.turn_step, dtype=np.float64)
-        for extent in (int(JOINTS.max_turn * width), int(JOINTS.max_turn * height))
-    ]
+    steps = [_shift_steps(width), _shift_steps(height)]
     angle = level.factor / earlier.camera.focal  # of a pixel of this level
     best_score, best_turn = -1.0, np.eye(3)
     for shift_x in steps[0]:

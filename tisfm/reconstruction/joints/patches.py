@@ -49,7 +49,10 @@ class Patches:
         depths: np.ndarray,  # (N,): their depths
         source: int,  # number of the frame
     ) -> "Patches":
-        """Return the patches around points; patches beyond the border or without contrast miss."""
+        """Return the patches around points.
+
+        Patches beyond the border or without contrast are left out.
+        """
         sides = np.arange(-JOINTS.patch_radius, JOINTS.patch_radius + 1)
         offsets = np.stack(np.meshgrid(sides, sides), axis=-1).reshape(-1, 2)
         pixels = places[:, None] / level.factor + offsets

@@ -18,8 +18,12 @@ class JointSettings:
     min_contrast: float = 2.0  # grey levels: standard deviation in a patch that is used
     min_level_side: int = 48  # px: longer side of the coarsest level
     # starts
-    max_turn: float = 0.25  # largest turn between the pieces, as a share of the frame
-    turn_step: int = 2  # px of the coarsest level between the turns that are tried
+    # largest turn, or shift, between the pieces that is tried, as a share of the frame
+    max_turn: float = 0.25
+    turn_step: int = 2  # px of the coarsest level between the turns, or shifts, that are tried
+    # mean correlation at the coarsest level that is worth a refinement; it was at least 0.46 before
+    # the 49 joints below
+    min_coarse_score: float = 0.3
     # alignment
     steps: int = 12  # Gauss–Newton steps at a level
     min_step: float = 1e-5  # a smaller step ends a level: relative to the depth, or rad
@@ -33,8 +37,12 @@ class JointSettings:
     max_scale_deviation: float = 0.05  # of the logarithm of the scale
     # score over that of the best alignment: another similarity as good as this is a rival
     min_rival_score: float = 0.85
-    # rad: turn between a rival and the best alignment; and between the alignments by the patches of
-    # one piece, which was at most 0.013 at right joints and 0.12 at a wrong one of the same score
+    max_rivals: int = 2  # shifts of the later piece that are refined in search of a rival
+    # median distance, as a share of the longer side of a frame, between the places where a rival
+    # and the best alignment show points
+    min_rival_distance: float = 0.01
+    # rad: turn between the alignments by the patches of one piece, which was at most 0.013 at right
+    # joints and 0.12 at a wrong one of the same score
     max_turn_difference: float = 0.025
     max_scale_difference: float = 0.1  # the same of the logarithm of the scale, at most 0.064
 

@@ -117,8 +117,11 @@ def _solve_zoom(
     """Return the path after the zoom was removed from the tracks; None if no zoom explains them.
 
     A path that was solved with a wrong zoom is bent. So the zoom is found in rounds. Several pieces
-    have a zoom each, whose ratio is unknown: such a path keeps its focal length.
+    have a zoom each, whose ratio is unknown: such a path keeps its focal length. So does a piece
+    with joints, since the images that join its parts still have the zoom.
     """
+    if any(piece.joints for piece in path.pieces):
+        return None
     total = np.zeros(len(solver.tracks.observations))
     for solves_left in reversed(range(REVISION.zoom_rounds + 1)):
         if len(path.pieces_with_positions) != 1 or count_views(path) < REVISION.min_views:

@@ -130,7 +130,8 @@ def _solve_with(
 
 def _solve_with_other_focal(solver: PathSolver, instants: np.ndarray) -> AdjustedCamera | None:
     """Return the camera of a path that was solved as if the focal length was unknown."""
-    path = replace(solver, calibrate="focal", is_focal_known=False).solve(instants)
+    solver = replace(solver, calibrate="focal", is_focal_known=False, joins_pieces=False)
+    path = solver.solve(instants)
     if not path.pieces_with_positions or path.focal is None or not path.focal.is_useful:
         return None
     return adjust_largest_piece(path, solver.tracks.shape, ("focal",))

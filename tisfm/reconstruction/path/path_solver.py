@@ -223,7 +223,9 @@ class PathSolver:
                     pinhole,
                 )
             is_useful = rebuilt_solution.focal is None or rebuilt_solution.focal.is_useful
-            if rebuilt_solution.score > corrected_solution.score and is_useful:
+            # It has no joints: a joined piece would fall apart.
+            is_whole = len(rebuilt_solution.pieces) <= len(corrected_solution.pieces)
+            if rebuilt_solution.score > corrected_solution.score and is_useful and is_whole:
                 corrected_solution = rebuilt_solution
         if corrected_solution.focal is None:
             corrected_solution = replace(
