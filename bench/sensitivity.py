@@ -78,6 +78,7 @@ STAGES = {  # settings objects by the inputs that reach them
                 "path_checks.settings.PATH_CHECKS",
                 "result.path_check.LIMITS",
                 "path.settings.REVISION",
+                "path.settings.POSE_DEVIATION",
                 "joints.settings.JOINTS",
                 "rotation.settings.ROTATION",
                 "causes.settings.CAUSES",
