@@ -111,22 +111,22 @@ def test_report_page_batch_and_command_state_one_grade(tmp_path):
 
 def test_deviations_of_poses_in_words(tmp_path):
     result = made(tmp_path / "one", count=4, piece=[0] * 4)
-    length = np.linalg.norm(np.diff(result.poses[:, :3, 3], axis=0), axis=1).sum()
-    side = 0.02 * length / np.sqrt(3)
+    side = 0.02 / np.sqrt(3)
     known = replace(
         result,
         position_deviation=np.full((4, 3), side),
         rotation_deviation=np.tile([0.0, 0.3, 0.4], (4, 1)),
     )
-    assert known.pose_deviation_text == "position ±2 % of the path, rotation ±0.5°"
-    assert "Median deviations: position ±2 % of the path" in known.summary()
+    text = "position ±{} in the unit of the poses, rotation ±0.5°"
+    assert known.pose_deviation_text == text.format("0.02")
+    assert "Median deviations: position ±0.02 in the unit of the poses" in known.summary()
     with_gap = known.position_deviation.copy()
     with_gap[3] = np.nan
     half = replace(known, position_deviation=with_gap)
     assert half.pose_deviation_text == known.pose_deviation_text
     unit = known.rescaled(0, 3, 5 * np.linalg.norm(known.poses[3, :3, 3] - known.poses[0, :3, 3]))
     np.testing.assert_allclose(unit.position_deviation, 5 * known.position_deviation)
-    assert unit.pose_deviation_text == known.pose_deviation_text
+    assert unit.pose_deviation_text == text.format("0.1")
     given = replace(known, position_deviation=np.zeros((4, 3)), rotation_deviation=np.zeros((4, 3)))
     unknown = replace(known, rotation_deviation=np.full((4, 3), np.nan))
     contradicted = replace(known, status=(Status("contradicted"),) * 4)

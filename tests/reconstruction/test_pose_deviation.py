@@ -16,8 +16,15 @@ from tisfm.reconstruction.calibration.track_bundle import TrackBundle
 from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.path import pose_deviation
 from tisfm.reconstruction.path.camera_path import CameraPath
-from tisfm.reconstruction.path.pose_deviation import find_pose_deviations
+from tisfm.reconstruction.path.pose_deviation import (
+    PoseDeviations,
+    _find_covariance,
+    _find_depth_variances,
+    _find_own_variance,
+    find_pose_deviations,
+)
 from tisfm.reconstruction.path.settings import POSE_DEVIATION, PoseDeviationSettings
+from tisfm.reconstruction.stages.depth import _find_pose_effects
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.triangulation import points_of_tracks, triangulate_tracks
 from tisfm.rigid import nearest_rotation, pose_matrix
@@ -204,6 +211,85 @@ def test_frames_with_few_tracks_are_left_out():
     found = deviations_of(truth, tracks)
     assert set(found.frames) == set(truth.views) - {poor}
     assert np.isfinite(found.position).all() and found.position.max() < 0.01
+
+
+def test_frames_are_left_out_until_all_have_enough_tracks():
+    """Five tracks link frames 5 and 6 with frame 7, five others link them with frame 8."""
+    truth, observations = tracks_of(walk(9))
+    tracks = noisy(observations, 0)
+    views = [tracks[frame].tracks for frame in truth.views]
+    shared = np.intersect1d(np.intersect1d(views[5], views[6]), np.intersect1d(views[7], views[8]))
+    for k, members in {5: shared[:10], 6: shared[:10], 7: shared[:5], 8: shared[5:10]}.items():
+        kept = tracks[truth.views[k]].select(np.isin(views[k], members))
+        tracks[truth.views[k]] = replace(kept, tracks=kept.tracks + 1000)
+    points = {**truth.points, **{1000 + track: p for track, p in truth.points.items()}}
+    found = deviations_of(replace(truth, points=points), tracks)
+    assert found.frames == truth.views[:5] and np.isfinite(found.position).all()
+
+
+def test_parts_that_were_joined_have_their_own_alignment():
+    truth, observations = tracks_of(walk(8))
+    tracks = noisy(observations, 0)
+    for frame in truth.views[4:]:
+        tracks[frame] = replace(tracks[frame], tracks=tracks[frame].tracks + 1000)
+    points = {**truth.points, **{1000 + track: p for track, p in truth.points.items()}}
+    joined = replace(truth, points=points, joints=(truth.views[4],))
+    found = deviations_of(joined, tracks)
+    assert found.frames == truth.views
+    for rows in (slice(0, 4), slice(4, 8)):
+        frames = truth.views[rows]
+        poses = {frame: truth.poses[frame] for frame in frames}
+        alone = deviations_of(replace(joined, poses=poses, views=frames, joints=()), tracks)
+        np.testing.assert_allclose(found.position[rows], alone.position)
+        np.testing.assert_allclose(found.relative_depth[rows], alone.relative_depth)
+
+
+def test_variances_that_are_not_positive_are_unknown(monkeypatch):
+    truth, observations = tracks_of(walk())
+    monkeypatch.setattr(pose_deviation, "_remove_motions", lambda matrix, _: -np.abs(matrix))
+    found = deviations_of(truth, noisy(observations, 0))
+    assert np.isnan(found.position).all() and np.isfinite(found.relative_depth).all()
+
+
+@pytest.mark.parametrize("depth", [-0.5, 1e-3, 0.1, 0.4])
+def test_one_bad_point_does_not_spoil_depth(depth, monkeypatch):
+    """A point behind the camera, or much too near; all points of a frame count."""
+    all_tracks = replace(POSE_DEVIATION, depth_tracks=1000)
+    monkeypatch.setattr(pose_deviation, "POSE_DEVIATION", all_tracks)
+    truth, observations = tracks_of(walk())
+    bundle = TrackBundle.from_piece(truth, noisy(observations, 0), truth.views, CAMERA, SHAPE)
+    covariance = _find_covariance(bundle, CAMERA.focal, None)
+    usual = _find_depth_variances(bundle, covariance)
+    k, points = 3, bundle.points.copy()
+    pose = truth.poses[truth.views[k]]
+    first = bundle.indices[bundle.views == k][0]
+    points[first] = pose[:3, :3] @ (0.3, 0.1, depth) + pose[:3, 3]
+    found = _find_depth_variances(replace(bundle, points=points), covariance)
+    np.testing.assert_allclose(found, usual, rtol=0.1)
+
+
+def test_factor_that_depths_share_is_not_that_of_one_outlier():
+    random = np.random.default_rng(0)
+    relative = 0.5 + 1e-3 * random.standard_normal((40, 12))
+    usual = _find_own_variance(relative, np.eye(12))
+    assert usual == pytest.approx(12e-6, rel=0.3)
+    assert _find_own_variance(relative + 7.0, np.eye(12)) == pytest.approx(usual)
+    relative[3] += 1.0
+    assert _find_own_variance(relative, np.eye(12)) == pytest.approx(usual, rel=0.1)
+
+
+def test_depth_of_a_frame_without_deviation_has_the_largest_of_its_piece():
+    truth, _ = tracks_of(walk(4))
+    some = truth.views[:3]
+    deviations = PoseDeviations(
+        frames=some,
+        position=np.zeros((3, 3)),
+        rotation=np.zeros((3, 3)),
+        relative_depth=np.array([0.01, np.nan, 0.02]),
+    )
+    expected = dict(zip(truth.views, [0.01, 0.02, 0.02, 0.02], strict=True))
+    assert _find_pose_effects(truth, deviations) == expected
+    assert _find_pose_effects(truth, None) == dict.fromkeys(truth.views, 0.0)
 
 
 def test_depth_is_off_because_of_the_poses():

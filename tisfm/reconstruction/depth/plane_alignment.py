@@ -14,11 +14,8 @@ from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.depth.plane_homographies import (
-    MAD_TO_DEVIATION,
-    HomographySearch,
-    MeasuredHomography,
-)
+from tisfm.motion.epipolar_fit import MAD_TO_DEVIATION
+from tisfm.reconstruction.depth.plane_homographies import HomographySearch, MeasuredHomography
 from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.mapping.plane_motion import fit_plane
 from tisfm.reconstruction.mapping.settings import MAPPING

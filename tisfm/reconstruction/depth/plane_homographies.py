@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.motion.epipolar_fit import MAD_TO_DEVIATION
 from tisfm.reconstruction.depth.settings import DEPTH
 
-MAD_TO_DEVIATION = 1.4826  # standard deviation of a normal distribution over its median distance
 MAX_GREY = 255.0
 SAMPLE_ROW = 128  # samples of a row of an array that is interpolated
 

@@ -33,7 +33,7 @@ from tisfm.reconstruction.path.settings import POSE_DEVIATION
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PoseDeviations:
-    """Standard deviations of poses, in the axes of the cameras."""
+    """Standard deviations of poses, in the axes of the cameras; NaN where unknown."""
 
     frames: tuple[int, ...]  # numbers of the F frames, in order
     position: np.ndarray  # (F, 3) float64: along X, Y and Z, unit of the poses
@@ -51,8 +51,9 @@ def find_pose_deviations(
 ) -> PoseDeviations | None:
     """Return the deviations of the poses of a piece; None if its tracks do not determine them.
 
-    The frames of a long piece are divided into windows, each with an alignment of its own. Frames
-    with few tracks are left out.
+    The frames are divided into windows, each with an alignment of its own: at the joints of the
+    piece, whose parts share no tracks, and where a part is long. Frames with few tracks are left
+    out.
 
     References
     ----------
@@ -61,21 +62,12 @@ def find_pose_deviations(
     doi 10.1093/biomet/73.1.13: covariance from clusters of observations.
     """
     camera = path.camera.pinhole()
-    window_count = -(-len(piece.poses) // POSE_DEVIATION.max_frames)
     frames: list[int] = []
     variances: list[np.ndarray] = []
-    for window in np.array_split(np.array(list(piece.poses)), window_count):
-        bundle = TrackBundle.from_piece(piece, path.observations, window.tolist(), camera, shape)
-        counts = np.bincount(bundle.views, minlength=len(window))
-        if (counts < POSE_DEVIATION.min_tracks).any():
-            window = window[counts >= POSE_DEVIATION.min_tracks]
-            if len(window) < CALIBRATION.min_bundle_frames:
-                continue
-            bundle = TrackBundle.from_piece(
-                piece, path.observations, window.tolist(), camera, shape
-            )
-        found = _find_variances(bundle, camera.focal, path.zoom, focal_deviation)
-        if found is not None:
+    for window in _split_windows(piece):
+        bundle = _make_bundle(path, piece, window, shape)
+        found = bundle and _find_variances(bundle, camera.focal, path.zoom, focal_deviation)
+        if bundle is not None and found is not None:
             frames += bundle.frames
             variances.append(found)
     if not variances:
@@ -89,6 +81,33 @@ def find_pose_deviations(
     )
 
 
+def _split_windows(piece: Piece) -> list[np.ndarray]:
+    """Return the frames of the windows of a piece, in order."""
+    frames = np.array(list(piece.poses))
+    windows = []
+    for part in np.split(frames, np.searchsorted(frames, piece.joints)):
+        windows += np.array_split(part, -(-len(part) // POSE_DEVIATION.max_frames))
+    return windows
+
+
+def _make_bundle(
+    path: CameraPath, piece: Piece, window: np.ndarray, shape: tuple[int, int]
+) -> TrackBundle | None:
+    """Return the tracks of a window, without frames with few tracks; None if too few remain.
+
+    A track is lost if too few of the remaining frames show it, so other frames may then have few.
+    """
+    camera = path.camera.pinhole()
+    while len(window) >= CALIBRATION.min_bundle_frames:
+        bundle = TrackBundle.from_piece(piece, path.observations, window.tolist(), camera, shape)
+        counts = np.bincount(bundle.views, minlength=len(window))
+        has_tracks = counts >= POSE_DEVIATION.min_tracks
+        if has_tracks.all():
+            return bundle
+        window = window[has_tracks]
+    return None
+
+
 def _find_variances(
     bundle: TrackBundle,
     focal: float,  # px
@@ -97,7 +116,8 @@ def _find_variances(
 ) -> np.ndarray | None:
     """Return the variances of frames, (F, 7); None if unknown.
 
-    They are those of the position, of the orientation, and of the relative depth.
+    They are those of the position, of the orientation, and of the relative depth. A variance that
+    is not above 0, from rounding, is NaN: unknown.
     """
     found = _find_covariance(bundle, focal, zoom)
     if found is None or not np.isfinite(found.matrix).all():
@@ -121,8 +141,9 @@ def _find_variances(
         aligned = _remove_motions(in_world.reshape(3 * count, 3 * count), motions)
         of_frames = np.einsum("nink->nik", aligned.reshape(count, 3, count, 3))
         in_camera = np.einsum("nij,njk,nik->ni", rotation, of_frames, rotation)
-        variances.append(np.maximum(in_camera, 0))
-    return np.concatenate([*variances, of_depth[:, None]], axis=1)
+        variances.append(in_camera)
+    found_variances = np.concatenate([*variances, of_depth[:, None]], axis=1)
+    return np.where(found_variances > 0, found_variances, np.nan)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -180,25 +201,53 @@ def _find_covariance(
 
 
 def _find_depth_variances(bundle: TrackBundle, covariance: _PoseCovariance) -> np.ndarray:
-    """Return the variance of the relative depth of each frame because of the poses, (F,)."""
+    """Return the variance of the relative depth of each frame because of the poses, (F,).
+
+    It is NaN if the points of no frame show it.
+    """
     count = len(bundle.frames)
-    step = -(-count // POSE_DEVIATION.depth_frames)
-    known, variances = list(range(0, count, step)), []
-    for k in known:
-        rows = np.flatnonzero(bundle.views == k)
-        indices = bundle.indices[rows[:: -(-len(rows) // POSE_DEVIATION.depth_tracks)]]
-        rotation, shift = bundle.poses[k, :, :3], bundle.poses[k, :, 3]
-        local = bundle.points[indices] @ rotation.T + shift
-        moves = covariance.point_moves[(3 * indices[:, None] + np.arange(3)).ravel()].toarray()
-        by_step = np.einsum("c,jck->jk", rotation[2], moves.reshape(-1, 3, 6 * count))
-        by_step[:, 6 * k + 2] += 1  # of Z by t, and by ω × X
-        by_step[:, 6 * k + 3] += local[:, 1]
-        by_step[:, 6 * k + 4] -= local[:, 0]
-        depth = np.maximum(local[:, 2:], CALIBRATION.min_bundle_depth)
-        relative = by_step / depth
-        relative -= relative.mean(axis=0)  # without the shared factor
-        variances.append(np.median(((relative @ covariance.matrix) * relative).sum(axis=1)))
-    return np.interp(np.arange(count), known, np.maximum(variances, 0))
+    known, variances = [], []
+    for k in range(0, count, -(-count // POSE_DEVIATION.depth_frames)):
+        relative = _find_depth_changes(bundle, covariance, k)
+        variance = _find_own_variance(relative, covariance.matrix) if len(relative) else 0.0
+        if variance > 0:
+            known.append(k)
+            variances.append(variance)
+    return np.interp(np.arange(count), known, variances) if known else np.full(count, np.nan)
+
+
+def _find_depth_changes(bundle: TrackBundle, covariance: _PoseCovariance, k: int) -> np.ndarray:
+    """Return the relative change of the depth of J points of frame k by the poses, (J, 6 F).
+
+    Points behind the camera, or much nearer than most, are left out.
+    """
+    indices = bundle.indices[bundle.views == k]
+    rotation, shift = bundle.poses[k, :, :3], bundle.poses[k, :, 3]
+    local = bundle.points[indices] @ rotation.T + shift
+    depth = local[:, 2]
+    rows = np.flatnonzero(depth > max(POSE_DEVIATION.min_depth * np.median(depth), 0))
+    rows = rows[:: max(1, -(-len(rows) // POSE_DEVIATION.depth_tracks))]
+    coordinates = 3 * indices[rows, None] + np.arange(3)
+    moves = covariance.point_moves[coordinates.ravel()].toarray()
+    by_step = np.einsum("c,jck->jk", rotation[2], moves.reshape(len(rows), 3, -1))
+    by_step[:, 6 * k + 2] += 1  # of Z by t, and by ω × X
+    by_step[:, 6 * k + 3] += local[rows, 1]
+    by_step[:, 6 * k + 4] -= local[rows, 0]
+    return np.asarray(by_step / depth[rows, None])
+
+
+def _find_own_variance(relative: np.ndarray, matrix: np.ndarray) -> float:
+    """Return the median variance of relative depths, (J, 6 F), apart from their shared factor.
+
+    The factor is their mean, and then the mean of those that are not far off the first one.
+    """
+    relative = relative - relative.mean(axis=0)
+    products = relative @ matrix @ relative.T
+    own = np.diag(products)
+    weights = own <= POSE_DEVIATION.max_depth_change**2 * max(float(np.median(own)), 0)
+    weights = weights / weights.sum()
+    by_factor = products @ weights
+    return float(np.median(own - 2 * by_factor + weights @ by_factor))
 
 
 def _similarity_motions(centers: np.ndarray) -> np.ndarray:

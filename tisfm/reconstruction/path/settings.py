@@ -79,7 +79,14 @@ class PoseDeviationSettings:
     # shows the effect of the poses; it is interpolated between these frames
     depth_frames: int = 50
     depth_tracks: int = 40
-    # share of the diagonal that is added to it, so that a frame without tracks is regular
+    # share of the median depth of a frame: nearer points, and those behind it, do not show the
+    # effect of the poses on depth
+    min_depth: float = 0.05
+    # over the median deviation of relative depths in a frame: those with more do not count for
+    # the factor that all share
+    max_depth_change: float = 3.0
+    # share of the diagonal that is added to it: tracks do not show the scale of the path, and the
+    # matrix could not be inverted
     min_stiffness: float = 1e-9
     # size of a motion of the whole path, relative to the largest one, that moves its positions; a
     # turn about a straight path moves none

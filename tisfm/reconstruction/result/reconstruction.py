@@ -33,11 +33,13 @@ class Reconstruction(StoredFrames):
         poses, and of the rotation about these axes, in degrees. They hold after the best alignment
         of the piece with the true path: a similarity for positions, a rotation for rotations. They
         include errors of the tracks, and of the focal length unless it was given. 0 for given
-        poses. NaN without a pose, where the camera only turns, and where few tracks link frames. In
-        a piece with more than 300 frames, and in chunks, they hold after the alignment of the part
-        or chunk around the frame: the drift between parts is not included. The preset ``accurate``
-        adjusts poses to the images afterwards: the deviations are those before. They do not hold
-        for a contradicted path. A stream has none.
+        poses. NaN without a pose, where the camera only turns, where few tracks link frames, and
+        where rounding errors hide the variance. In chunks, in a piece with more than 300 frames,
+        and where parts without common tracks were joined by their images, they hold after the
+        alignment of the part around the frame: errors between parts are not included. They are too
+        large where poses are adjusted to the images afterwards: in front of a single plane, with
+        every preset, and with the preset ``accurate``. They do not hold for a contradicted path. A
+        stream has none.
     status : tuple of Status
         For every frame, with a message: ``"converged"`` if it has a pose, and depth if depth was
         requested; ``"uncertain"`` if its depth is expected to be off by more than 10 %;

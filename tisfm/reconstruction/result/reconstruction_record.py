@@ -160,8 +160,8 @@ class ReconstructionRecord:
     def pose_deviation_text(self) -> str:
         """The median deviations of the poses of the largest piece in words; "" if unknown.
 
-        That of the position is a share of the length of the path, root of the sum over its axes.
-        Given poses and contradicted paths have none.
+        Each is the root of the sum of the squares over the axes, for the position in the unit of
+        the poses. Given poses and contradicted paths have none.
 
         Examples
         --------
@@ -173,7 +173,7 @@ class ReconstructionRecord:
         if any(self.status[frame] == "contradicted" for frame in members):
             return ""
         return describe_pose_deviations(
-            self.poses[members], self.position_deviation[members], self.rotation_deviation[members]
+            self.position_deviation[members], self.rotation_deviation[members]
         )
 
     def summary(self) -> str:

@@ -62,17 +62,20 @@ def describe_poses(piece: np.ndarray, has_position: np.ndarray) -> str:
 
 
 def describe_pose_deviations(
-    poses: np.ndarray,  # (F, 4, 4) of the frames of a piece
-    # position, rotation: (F, 3) standard deviations, in the unit of the poses and in degrees
+    # position, rotation: (F, 3) standard deviations of the frames of a piece, in the unit of the
+    # poses and in degrees
     position: np.ndarray,
     rotation: np.ndarray,
 ) -> str:
-    """Return the median deviations in words; "" if they are unknown, or the poses were given."""
-    length = float(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).sum())
+    """Return the median deviations in words; "" if they are unknown, or the poses were given.
+
+    The position is not a share of the path: deviations hold for a part of a long piece, whose
+    length the result does not have.
+    """
     sizes = [np.linalg.norm(values, axis=1) for values in (position, rotation)]
-    if not length or not all(np.isfinite(values).any() for values in sizes):
+    if not all(np.isfinite(values).any() for values in sizes):
         return ""
     of_position, of_rotation = (float(np.nanmedian(values)) for values in sizes)
     if not of_rotation:
         return ""
-    return f"position ±{100 * of_position / length:.2g} % of the path, rotation ±{of_rotation:.2g}°"
+    return f"position ±{of_position:.2g} in the unit of the poses, rotation ±{of_rotation:.2g}°"

@@ -169,11 +169,7 @@ def _write_piece_depth(
         effort=depth_effort(job.settings),
         written_until=max(piece.poses) if job.depth_of == "keyframes" else -1,
     )
-    of_poses: dict[int, float] = {}  # relative standard deviation of depth because of the poses
-    if pose_deviations is not None:
-        of_poses = dict(
-            zip(pose_deviations.frames, pose_deviations.relative_depth.tolist(), strict=True)
-        )
+    of_poses = _find_pose_effects(piece, pose_deviations)
     kinds: dict[int, str] = {}
     errors: dict[int, tuple[float, float]] = {}
     unit = 1.0
@@ -181,7 +177,7 @@ def _write_piece_depth(
         if not kinds and job.poses is None:
             unit = median_depth(depth.inverse_depth)
         deviation = np.hypot(
-            depth.deviation, np.float32(of_poses.get(depth.frame, 0.0)) * depth.inverse_depth
+            depth.deviation, np.float32(of_poses[depth.frame]) * depth.inverse_depth
         )
         write_depth(job.folder, depth.frame, depth.inverse_depth * unit, deviation * unit)
         errors[depth.frame] = depth_error(depth.inverse_depth, deviation, focal_deviation)
@@ -191,6 +187,18 @@ def _write_piece_depth(
     if not kinds and job.poses is None:
         unit = _find_median_track_depth(piece, observations)
     return kinds, unit, errors
+
+
+def _find_pose_effects(piece: Piece, deviations: PoseDeviations | None) -> dict[int, float]:
+    """Return the relative standard deviation of depth because of the poses, for every frame.
+
+    A frame whose own is unknown has the largest of the piece. It is 0 if all are unknown.
+    """
+    known: dict[int, float] = {}
+    if deviations is not None:
+        pairs = zip(deviations.frames, deviations.relative_depth.tolist(), strict=True)
+        known = {frame: value for frame, value in pairs if np.isfinite(value)}
+    return dict.fromkeys(piece.poses, max(known.values(), default=0.0)) | known
 
 
 def _find_median_track_depth(piece: Piece, observations: Sequence[Observations]) -> float:
