@@ -1,4 +1,4 @@
-"""The joined result has the checks, masks and grades of its chunks; a piece has one verdict."""
+"""The joined result has the checks, masks, grades and deviations of its chunks."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -22,10 +22,11 @@ from tisfm.reconstruction.result.statuses import mark_contradicted
 COUNT, SHARED = 6, 3  # frames of a chunk, and of its overlap with the next chunk
 
 
-def joined(folder, checks, masks, errors, causes=None):
+def joined(folder, checks, masks, errors, causes=None, scales=None):
     """Return the joined result of chunks of one path, with these checks, masks and errors.
 
-    Chunks are contradicted by their checks; `causes` says what hides the motion in each.
+    Chunks are contradicted by their checks; `causes` says what hides the motion in each. `scales`
+    are factors of the depth of chunks.
     """
     poses = along(len(checks) * SHARED + SHARED)
     parts = []
@@ -42,6 +43,8 @@ def joined(folder, checks, masks, errors, causes=None):
         frames = {begin + k: k for k in range(COUNT)}
         parts.append(ChunkResult(result=tisfm.Reconstruction.load(chunk.folder), frames=frames))
     placements = place_chunks(parts, has_given_poses=True)
+    if scales is not None:
+        placements = [replace(one, scale=scales[one.part]) for one in placements]
     out = folder / "out"
     for name in ("depth", "frames", "cache"):
         (out / name).mkdir(parents=True)
@@ -77,6 +80,21 @@ def test_right_chunks_join_to_a_right_piece(tmp_path):
     assert set(result.status) == {"converged"}
     assert result.grades[0] == "good" and result.grades[-1] == "fair"
     assert result.depth_error.tolist() == pytest.approx([0.01] * 4 + [0.05] * 5)
+
+
+def test_deviations_of_positions_are_in_the_unit_of_the_joined_path(tmp_path):
+    result = joined(tmp_path, [check_of()] * 2, [None] * 2, [0.01] * 2, scales=[0.5, 3.0])
+    chunks = [tisfm.Reconstruction.load(tmp_path / f"{number}") for number in range(2)]
+    assert (chunks[0].position_deviation > 0).all()
+    for frames, chunk, own, scale in (
+        (slice(4), chunks[0], slice(4), 0.5),
+        (slice(4, 9), chunks[1], slice(1, 6), 3.0),
+    ):
+        expected = scale * chunk.position_deviation[own]
+        np.testing.assert_allclose(result.position_deviation[frames], expected)
+        np.testing.assert_array_equal(
+            result.rotation_deviation[frames], chunk.rotation_deviation[own]
+        )
 
 
 def test_the_note_on_the_focal_length_is_that_of_all_chunks(tmp_path):

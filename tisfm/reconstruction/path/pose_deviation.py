@@ -66,8 +66,10 @@ def find_pose_deviations(
     variances: list[np.ndarray] = []
     for window in _split_windows(piece):
         bundle = _make_bundle(path, piece, window, shape)
-        found = bundle and _find_variances(bundle, camera.focal, path.zoom, focal_deviation)
-        if bundle is not None and found is not None:
+        if bundle is None:
+            continue
+        found = _find_variances(bundle, camera.focal, path.zoom, focal_deviation)
+        if found is not None:
             frames += bundle.frames
             variances.append(found)
     if not variances:
