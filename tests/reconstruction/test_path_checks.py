@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -21,6 +22,7 @@ from tisfm.reconstruction.result.calibration import GIVEN
 from tisfm.reconstruction.result.focal_note import find_focal_note
 from tisfm.reconstruction.result.folder import FIXED_MASK
 from tisfm.reconstruction.result.path_check import PairEvidence, PathCheck
+from tisfm.reconstruction.streaming import stream_checks
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.report.reconstruction_report import _report
 from tisfm.results.sequence_frames import SequenceFrames
@@ -87,6 +89,28 @@ def test_a_pair_is_checked_once(monkeypatch):
         poses, range(6), {}, lambda _: np.zeros((2, 3)), lambda _: None, lambda _: None, None
     )
     assert chosen and len({frozenset(pair) for pair in chosen}) == len(chosen)
+
+
+def test_a_stream_checks_a_pair_once(monkeypatch):
+    """Two frames may be the best partners of each other, in one call or in the next one."""
+    monkeypatch.setattr(stream_checks, "choose_second_frame", lambda first, *_: first ^ 1)
+    chosen = []
+    monkeypatch.setattr(
+        stream_checks, "check_pair", lambda first, second, *_: chosen.append((first, second))
+    )
+    monkeypatch.setattr(stream_checks, "check_with_pairs", lambda *_: made_check)
+    made_check = PathCheck(pairs=(), fixed_share=0.0, infinity_motion=0.0)
+    piece = SimpleNamespace(poses=dict.fromkeys(range(6), np.eye(4)))
+    path = SimpleNamespace(select_recent=lambda piece: piece, observations={})
+    frames = SimpleNamespace(
+        grey=lambda _: np.zeros((2, 3)), static_pixels=lambda _: None, camera=None
+    )
+    checks = stream_checks.StreamChecks(path, frames)
+    for first, last in ((0, 1), (2, 2), (3, 5)):
+        checks.find_contradictions({0: piece, 7: piece}, first, last)
+    pairs = [frozenset(pair) for pair in chosen]
+    assert len(set(pairs)) == 3
+    assert all(pairs.count(pair) == 2 for pair in pairs)  # once for each piece
 
 
 OBJECTS = tisfm.Settings.preset("fast", motion="objects")

@@ -25,6 +25,8 @@ class StreamChecks:
         self._path, self._frames = path, frames
         # evidence for and against the path of a piece, from its last pairs of frames
         self._evidence: dict[int, deque[PairEvidence]] = {}
+        # pairs of recent frames that were checked, by the number of the piece
+        self._checked: dict[int, set[frozenset[int]]] = {}
 
     def find_contradictions(
         self,
@@ -49,10 +51,16 @@ class StreamChecks:
         return contradictions
 
     def _check_piece(self, number: int, piece: Piece, first: int, last: int) -> PathCheck:
-        """Check the path of a piece by pairs that begin at new frames, and by earlier pairs."""
+        """Check the path of a piece by pairs that begin at new frames, and by earlier pairs.
+
+        Each pair is checked once.
+        """
         poses = self._path.select_recent(piece).poses
         new_frames = [frame for frame in poses if first <= frame <= last]
         evidence = self._evidence.setdefault(number, deque(maxlen=PATH_CHECKS.max_pairs))
+        # other frames do not come back
+        checked = {pair for pair in self._checked.get(number, ()) if pair <= poses.keys()}
+        self._checked[number] = checked
         for frame in spread_evenly(new_frames, PATH_CHECKS.max_stream_pairs):
             other = choose_second_frame(
                 frame,
@@ -60,8 +68,9 @@ class StreamChecks:
                 self._path.observations,
                 max(self._frames.grey(frame).shape),
             )
-            if other is None:
+            if other is None or frozenset((frame, other)) in checked:
                 continue
+            checked.add(frozenset((frame, other)))
             pair = check_pair(
                 frame,
                 other,
