@@ -18,6 +18,7 @@ from tisfm.motion.camera_fit import (
     undistort_points,
 )
 from tisfm.motion.camera_search import search_cameras
+from tisfm.motion.camera_settings import IntrinsicsSettings
 from tisfm.motion.epipolar_fit import FreeUnknowns, Rays, refine_pose, rotation_alone
 from tisfm.motion.homographies import TWO_MOTIONS, resolve_plane
 from tisfm.rigid import rigid_motion
@@ -241,3 +242,8 @@ def test_single_precision_finds_the_same_camera(monkeypatch):
     for single, double in zip(singles, search_cameras(rays, pose, turn), strict=True):
         assert single.gain == pytest.approx(double.gain, abs=0.02)
         assert abs(single.best_value - double.best_value) < 0.05 * double.deviation
+
+
+def test_all_parameters_have_as_many_values():
+    with pytest.raises(ValueError, match=r"zoom_values 2 .* the same number"):
+        IntrinsicsSettings(zoom_values=(0.01, 0.02))

@@ -192,10 +192,11 @@ def find_derivatives(
     *,
     is_free: bool,
 ) -> np.ndarray:
-    """Return the derivatives of distances, (M, 6, N), with a last row, (M, 7, N), of the distances.
+    """Return the derivatives of distances, and the distances.
 
-    The derivatives are by translation and rotation and, if it is free, by the value of the camera;
-    then it is a row more. All are in units of offsets: times `found.px`, they are in px.
+    The array is (M, 7, N), or (M, 8, N) if the value is free: six rows for the motion (translation
+    and rotation), one for the value if it is free, and the distances last. All are in units of
+    offsets: times `found.px`, they are in px.
 
     A small motion turns a line about the point p that is nearest to the ray, so that it changes the
     distance by p · δl, with δl = δt × R x̂ and δl = δω × l.

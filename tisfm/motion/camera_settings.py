@@ -51,7 +51,9 @@ class IntrinsicsSettings:
     undistortion_iterations: int = 8  # Newton's iterations of the radius without distortion
     min_distortion_slope: float = 0.1  # smallest derivative of the distorted radius
     max_undistortion: float = 3.0  # largest factor of a point without the distortion
-    other_iterations: int = 3  # iterations of a motion that is far from the stated camera's
+    # steps of the values in which motions far from the stated camera's are improved; at the end,
+    # all motions are improved once more
+    other_iterations: int = 3
     joint_iterations: int = 6  # iterations of motion and value, from the best value
     min_joint_step: float = 0.05  # deviations of the values: shorter steps end these iterations
     # standard deviations of a value from 0, and by which it explains the rays better
@@ -99,6 +101,15 @@ class IntrinsicsSettings:
     min_parallax: float = 0.05  # px of the level: smaller parallax of a region counts as this
     # distance from epipolar lines divided by parallax: at most 0.16 of right pairs
     max_misfit: float = 0.17
+
+    def __post_init__(self) -> None:
+        counts = {len(self.focal_values), len(self.zoom_values), len(self.distortion_values)}
+        if len(counts) > 1:
+            raise ValueError(
+                f"focal_values has {len(self.focal_values)} values, zoom_values "
+                f"{len(self.zoom_values)} and distortion_values {len(self.distortion_values)}: "
+                "all three must have the same number"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
