@@ -1,5 +1,6 @@
 """Poses before a single plane, aligned to the grey levels of all pixels."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -7,7 +8,9 @@ import pytest
 
 from tests.reconstruction.films import path_error
 from tisfm.camera import Camera
+from tisfm.reconstruction.depth import plane_alignment
 from tisfm.reconstruction.depth.plane_alignment import align_plane
+from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import Plane, Scene, Texture
@@ -103,6 +106,53 @@ def test_ignored_pixels_are_not_compared():
     dark = [np.where(used, frame, 20).astype(np.float32) for frame in frames]
     found = align(dark, disturbed(true), points, tracks(true, points), used)
     assert path_error(list(found.values()), true) < 0.0025
+
+
+def test_thin_strip_of_used_pixels_gives_no_homography():
+    """Its pixels have neighbours that are not used, so none of them is compared."""
+    frames, true = film()
+    points, used = on_plane(), np.zeros(SHAPE, bool)
+    used[60:63] = True
+    assert align(frames, dict(enumerate(true)), points, tracks(true, points), used) is None
+
+
+def cut(observations, length):
+    """Return tracks that end after `length` frames and begin anew, each at another frame."""
+    found = []
+    for k, seen in enumerate(observations):
+        count = len(seen.tracks)
+        found.append(replace(seen, tracks=seen.tracks + count * ((k + seen.tracks) // length)))
+    return found
+
+
+@pytest.mark.parametrize("relief, is_plane", [(0.0, True), (0.3, False)])
+def test_short_tracks_show_relief(relief, is_plane):
+    """Tracks of five frames; a third of the points is nearer or all are on the plane."""
+    frames, true = film()
+    points = on_plane(relief, 1 / 3)
+    short = cut(tracks(true, points), 5)
+    assert not len(short[0].common_tracks(short[8])[0])
+    assert (align(frames, dict(enumerate(true)), points, short) is not None) == is_plane
+
+
+def test_tracks_of_single_frames_show_no_plane():
+    frames, true = film()
+    points = on_plane()
+    short = cut(tracks(true, points), 1)
+    assert align(frames, dict(enumerate(true)), points, short) is None
+
+
+def test_poses_that_leave_the_tracks_are_not_taken(monkeypatch):
+    """The tracks fit a plane exactly, but another path than the images."""
+    frames, true = film()
+    points = on_plane()
+    turns = [pose_matrix((0, 0, 0, 0, 0.003 * (k % 2), 0)) for k in range(COUNT)]
+    turned = np.array([pose @ turn for pose, turn in zip(true, turns, strict=True)])
+    arguments = frames, dict(enumerate(turned)), points, tracks(turned, points)
+    assert align(*arguments) is None
+    settings = replace(DEPTH, max_track_growth=np.inf)
+    monkeypatch.setattr(plane_alignment, "DEPTH", settings)
+    assert align(*arguments) is not None
 
 
 @pytest.mark.parametrize("relief, share", [(0.05, 0.1), (0.3, 1 / 3), (0.3, 0.7)])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.reconstruction.films import path_error
 from tisfm.camera import Camera
-from tisfm.metrics import absolute_errors, path_length
 from tisfm.reconstruction.mapping import incremental
 from tisfm.reconstruction.mapping.database import (
     MatchDirections,
@@ -103,17 +103,17 @@ def test_wrong_motion_of_a_plane_is_replaced(monkeypatch):
     with open_database(views, pairs, colmap_camera(camera, SHAPE)) as database:
         starts = {k: pose for k, pose in enumerate(find_other_motion(poses, points), start=1)}
         wrong = grow_from_poses(database, starts, are_poses_fixed=False)
-        assert path_error(wrong, poses) > 0.005
+        assert model_error(wrong, poses) > 0.005
         monkeypatch.setattr(incremental, "_build_model", lambda *arguments: wrong)
         (right,) = grow_models(database, directions, len(views), scorer)
-    assert path_error(right, poses) < 0.0005
+    assert model_error(right, poses) < 0.0005
     assert scorer.score(right) > scorer.score(wrong)
 
 
-def path_error(model, poses):
+def model_error(model, poses):
     """Return the error of the path of a pycolmap model, as a share of its length."""
     found = [model.images[k].cam_from_world().matrix() for k in range(1, len(poses) + 1)]
     found, true = (
         np.linalg.inv([np.vstack([pose, np.eye(4)[3]]) for pose in path]) for path in (found, poses)
     )
-    return absolute_errors(found, true).similarity / path_length(true)
+    return path_error(found, true)

@@ -26,6 +26,16 @@ DERIVATIVE_STEP = 1e-6  # rad, and share of the plane's distance: of numerical d
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class _TrackPair:
+    """Tracks that two frames share."""
+
+    first: int  # index of the frame
+    second: int
+    start: np.ndarray  # (N, 2) float64: positions in the first frame, in focal lengths
+    end: np.ndarray  # (N, 2) float64: in the second frame
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _PlanePath:
     """Poses, and a plane at distance 1, in the axes of the first camera."""
 
@@ -47,7 +57,10 @@ def align_plane(
     camera: Camera,  # a pinhole
     shape: tuple[int, int],  # height and width of the frames, px
 ) -> dict[int, np.ndarray] | None:
-    """Return aligned poses, by frame; None if the points do not all lie on one plane."""
+    """Return aligned poses, by frame; None if the points do not all lie on one plane.
+
+    None is also returned if too few frames share tracks, which would show relief.
+    """
     frames = list(poses)
     if len(frames) < MAPPING.min_views:
         return None
@@ -62,14 +75,17 @@ def align_plane(
     relative[:, :, 3] /= distance
     path = _PlanePath(poses=relative, normal=plane * distance)
     tracks = [observations[frame] for frame in frames]
-    distances = _measure_tracks(path, tracks, camera, shape)
-    if not distances.size or _shows_relief(distances):
+    pairs = _pair_tracks(tracks, camera, shape)
+    if pairs is None:
+        return None
+    distances = _measure_tracks(path, pairs, camera.focal)
+    if _shows_relief(distances):
         return None
     measured = _measure_pairs(path, frames, HomographySearch(grey, used_pixels, camera))
     if set(range(len(frames))) - {k for pair in measured for k in (pair.first, pair.second)}:
         return None  # a frame without a measured homography
     path = _fit(path, measured)
-    new_distances = _measure_tracks(path, tracks, camera, shape)
+    new_distances = _measure_tracks(path, pairs, camera.focal)
     if not np.median(new_distances) <= DEPTH.max_track_growth * np.median(distances):
         return None  # the images fit another motion than the tracks: they show more than the plane
     aligned = np.tile(np.eye(4), (len(frames), 1, 1))
@@ -181,31 +197,50 @@ def _tilt(normal: np.ndarray, tilt: np.ndarray) -> np.ndarray:
     return np.asarray(tilted / np.linalg.norm(tilted))
 
 
-def _measure_tracks(
-    path: _PlanePath, observations: Sequence[Observations], camera: Camera, shape: tuple[int, int]
-) -> np.ndarray:
+def _pair_tracks(
+    observations: Sequence[Observations], camera: Camera, shape: tuple[int, int]
+) -> list[_TrackPair] | None:
+    """Return the tracks of each frame and of the farthest frame before it that shares enough.
+
+    None is returned if too many frames share too few tracks with the frames before them.
+    """
+    center = np.array(camera.center_for(*shape))
+    pairs = []
+    for second, seen in enumerate(observations):
+        enough, best = DEPTH.min_relief_tracks, None
+        for gap in range(1, min(DEPTH.relief_gap, second) + 1):
+            common = observations[second - gap].common_tracks(seen)
+            if gap == 1:
+                enough = max(enough, round(DEPTH.min_relief_track_share * len(common[0])))
+            if len(common[0]) < enough:
+                break
+            best = second - gap, *common
+        if best is not None:
+            first, rows, others = best
+            start, end = observations[first].points[rows], seen.points[others]
+            start, end = ((points - center) / camera.focal for points in (start, end))
+            pairs.append(_TrackPair(first=first, second=second, start=start, end=end))
+    if len(pairs) < DEPTH.min_relief_frames * (len(observations) - 1):
+        return None
+    return pairs
+
+
+def _measure_tracks(path: _PlanePath, pairs: Sequence[_TrackPair], focal: float) -> np.ndarray:
     """Return the distances, (2, N) px, of tracks from their positions on the plane.
 
     The distances are along and across the epipolar lines.
     """
-    center = np.array(camera.center_for(*shape))
     along, across = [], []
-    for second in range(1, len(observations)):
-        first = max(0, second - DEPTH.relief_gap)
-        rows, others = observations[first].common_tracks(observations[second])
-        start, end = (
-            (observations[k].points[i] - center) / camera.focal
-            for k, i in ((first, rows), (second, others))
-        )
-        before, after = path.poses[[first]], path.poses[[second]]
+    for pair in pairs:
+        before, after = path.poses[[pair.first]], path.poses[[pair.second]]
         (homography,) = _find_homographies(before, after, path.normal)
-        moved = np.column_stack([start, np.ones(len(start))]) @ homography.T
+        moved = np.column_stack([pair.start, np.ones(len(pair.start))]) @ homography.T
         on_plane = moved[:, :2] / moved[:, 2:]
         turn = after[0, :, :3] @ before[0, :, :3].T
         shift = after[0, :, 3] - turn @ before[0, :, 3]
         lines = shift[:2] - on_plane * shift[2]
         lines /= np.maximum(np.linalg.norm(lines, axis=1, keepdims=True), 1e-12)
-        rest = camera.focal * (end - on_plane)
+        rest = focal * (pair.end - on_plane)
         along.append((rest * lines).sum(axis=1))
         across.append(rest[:, 0] * lines[:, 1] - rest[:, 1] * lines[:, 0])
     return np.abs([np.concatenate(along), np.concatenate(across)])

@@ -1,7 +1,7 @@
 """Homographies between frames of one plane, fitted to the grey levels of all pixels."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -32,8 +32,12 @@ class _SmoothFrame:
 
     images: tuple[np.ndarray, ...]  # three (H, W) float32: grey levels, derivatives by x and y
     used: np.ndarray  # (H, W) bool: pixels that are used, and whose neighbours are
-    rays: np.ndarray  # (N, 3) float64: directions to the samples
+    rays: np.ndarray  # (3, N) float64: directions to the samples
     grey: np.ndarray  # (N,) float64: grey levels of the samples
+
+    def with_fewer_samples(self, factor: int) -> "_SmoothFrame":
+        """Return the frame with every factor-th sample."""
+        return replace(self, rays=self.rays[:, ::factor], grey=self.grey[::factor])
 
 
 class HomographySearch:
@@ -57,7 +61,8 @@ class HomographySearch:
     ) -> MeasuredHomography | None:
         """Return the homography of two frames; None if they hardly overlap or do not fit.
 
-        Differences of brightness, a factor and an offset, are fitted as well.
+        Differences of brightness, a factor and an offset, are fitted as well. Steps with few
+        samples come first; the last step has all of them.
 
         References
         ----------
@@ -65,18 +70,16 @@ class HomographySearch:
         doi 10.1023/B:VISI.0000011205.11775.fd: the forwards compositional algorithm.
         """
         first, second = (self._prepare(frame) for frame in frames)
-        matrix, step = start, np.full(8, np.inf)
-        for _ in range(DEPTH.homography_steps):
-            equations = self._linearise(first, second, matrix)
+        few = first.with_fewer_samples(DEPTH.homography_sample_factor)
+        matrix = start
+        for samples in (*[few] * DEPTH.homography_steps, first):
+            equations = self._linearise(samples, second, matrix)
             if equations is None:
                 return None
             information, gradient = equations
             step = -np.linalg.solve(information, gradient)
-            change = np.r_[step, 0.0].reshape(3, 3)
-            matrix = matrix @ (np.eye(3) + change)
-            if self._camera.focal * np.abs(step).max() < DEPTH.min_homography_step:
-                break
-        moved = self._camera.focal * _displacement(start, matrix, first.rays)
+            matrix = matrix @ (np.eye(3) + np.r_[step, 0.0].reshape(3, 3))
+        moved = self._camera.focal * _displacement(start, matrix, few.rays)
         if not moved < DEPTH.max_homography_change:
             return None
         return MeasuredHomography(
@@ -102,7 +105,7 @@ class HomographySearch:
         rows, columns = np.nonzero(used[::stride, ::stride])
         rows, columns = rows * stride, columns * stride
         cx, cy = self._camera.center_for(*image.shape)
-        rays = np.column_stack([columns - cx, rows - cy, np.full(len(rows), self._camera.focal)])
+        rays = np.stack([columns - cx, rows - cy, np.full(len(rows), self._camera.focal)])
         return _SmoothFrame(
             images=(image, *slopes),
             used=used,
@@ -116,31 +119,31 @@ class HomographySearch:
         """Return the normal equations of a step, (8, 8) and (8,), or None: too few samples."""
         focal, (height, width) = self._camera.focal, second.images[0].shape
         center = self._camera.center_for(height, width)
-        moved = first.rays @ matrix.T
-        depth = np.where(moved[:, 2] > 0, moved[:, 2], np.inf)
-        position = moved[:, :2] / depth[:, None]
-        pixel = focal * position + center
-        last = np.array([width, height]) - 1 - DEPTH.homography_border
-        is_inside = ((pixel >= DEPTH.homography_border) & (pixel <= last)).all(axis=1)
+        moved = matrix @ first.rays
+        depth = np.where(moved[2] > 0, moved[2], np.inf)
+        position = moved[:2] / depth
+        pixel = focal * position + np.reshape(center, (2, 1))
+        last = np.array([[width], [height]]) - 1 - DEPTH.homography_border
+        is_inside = ((pixel >= DEPTH.homography_border) & (pixel <= last)).all(axis=0)
         is_inside &= np.isfinite(depth)
-        columns, rows = np.rint(np.where(is_inside[:, None], pixel, 0)).astype(np.intp).T
+        columns, rows = np.rint(np.where(is_inside, pixel, 0)).astype(np.intp)
         is_inside &= second.used[rows, columns]
-        if is_inside.sum() < DEPTH.min_overlap * len(is_inside):
+        if is_inside.sum() < max(DEPTH.min_homography_samples, DEPTH.min_overlap * len(is_inside)):
             return None
-        rays, grey = first.rays[is_inside], first.grey[is_inside]
-        position, depth, pixel = position[is_inside], depth[is_inside], pixel[is_inside]
-        warped, *slopes = _sample(second.images, pixel)
-        jacobian = np.empty((len(rays), 8))
-        for k, column in enumerate(matrix.T):  # an entry of D moves a ray along a column
-            along = column[:2] - position * column[2]
-            slope = focal / depth * (slopes[0] * along[:, 0] + slopes[1] * along[:, 1])
-            size = min(3, 8 - 3 * k)
-            jacobian[:, 3 * k : 3 * k + size] = slope[:, None] * rays[:, :size]
-        return _make_equations(jacobian, warped - grey, grey)
+        rays, grey = first.rays[:, is_inside], first.grey[is_inside]
+        x, y = position[:, is_inside]
+        warped, slope_x, slope_y = _sample(second.images, pixel[:, is_inside])
+        factor = focal / depth[is_inside]
+        slope_x, slope_y = slope_x * factor, slope_y * factor
+        along = slope_x * x + slope_y * y
+        jacobian = np.empty((9, len(grey)))
+        for k, (a, b, c) in enumerate(matrix.T):  # an entry of D moves a ray along a column
+            jacobian[3 * k : 3 * k + 3] = (a * slope_x + b * slope_y - c * along) * rays
+        return _make_equations(jacobian[:8], warped - grey, grey)
 
 
 def _make_equations(
-    jacobian: np.ndarray,  # (N, 8)
+    jacobian: np.ndarray,  # (8, N)
     residual: np.ndarray,  # (N,): grey levels
     grey: np.ndarray,  # (N,): grey levels of the first frame
 ) -> tuple[np.ndarray, np.ndarray] | None:
@@ -148,16 +151,17 @@ def _make_equations(
 
     None is returned if the image does not determine a homography.
     """
-    brightness = np.column_stack([grey / MAX_GREY, np.ones(len(grey))])
-    residual = residual - brightness @ np.linalg.lstsq(brightness, residual, rcond=None)[0]
+    brightness = np.stack([grey / MAX_GREY, np.ones(len(grey))])
+    # An image of one grey level shows no factor: the pseudo-inverse leaves it at 1.
+    light = np.linalg.pinv(brightness @ brightness.T) @ (brightness @ residual)
+    residual = residual - light @ brightness
     deviation = max(MAD_TO_DEVIATION * float(np.median(np.abs(residual))), DEPTH.min_grey_deviation)
     weight = 1 / (1 + (residual / (DEPTH.outlier_scale * deviation)) ** 2) / deviation**2
-    weighted = jacobian * weight[:, None]
-    information, gradient = weighted.T @ jacobian, weighted.T @ residual
-    coupling = weighted.T @ brightness
-    # An image of one grey level shows no factor: the pseudo-inverse leaves it at 1.
-    change = np.linalg.pinv((brightness * weight[:, None]).T @ brightness) @ np.column_stack(
-        [coupling.T, (brightness * weight[:, None]).T @ residual]
+    weighted, weighted_brightness = jacobian * weight, brightness * weight
+    information, gradient = weighted @ jacobian.T, weighted @ residual
+    coupling = weighted @ brightness.T
+    change = np.linalg.pinv(weighted_brightness @ brightness.T) @ np.column_stack(
+        [coupling.T, weighted_brightness @ residual]
     )
     information -= coupling @ change[:, :8]
     gradient -= coupling @ change[:, 8]
@@ -168,12 +172,12 @@ def _make_equations(
 
 
 def _sample(images: tuple[np.ndarray, ...], pixels: np.ndarray) -> list[np.ndarray]:
-    """Return images at positions, (N, 2) px, by cubic interpolation."""
-    count = len(pixels)
+    """Return images at positions, (2, N) px, by cubic interpolation."""
+    count = pixels.shape[1]
     # OpenCV's remap does not accept long rows.
-    padded = np.zeros((-(-count // SAMPLE_ROW) * SAMPLE_ROW, 2), np.float32)
-    padded[:count] = pixels
-    x, y = (np.ascontiguousarray(column.reshape(-1, SAMPLE_ROW)) for column in padded.T)
+    padded = np.zeros((2, -(-count // SAMPLE_ROW) * SAMPLE_ROW), np.float32)
+    padded[:, :count] = pixels
+    x, y = padded.reshape(2, -1, SAMPLE_ROW)
     return [
         cv2.remap(image, x, y, cv2.INTER_CUBIC).ravel()[:count].astype(np.float64)
         for image in images
@@ -182,5 +186,5 @@ def _sample(images: tuple[np.ndarray, ...], pixels: np.ndarray) -> list[np.ndarr
 
 def _displacement(first: np.ndarray, second: np.ndarray, rays: np.ndarray) -> float:
     """Return the median distance of points moved by two homographies, in focal lengths."""
-    positions = [(p := rays @ matrix.T)[:, :2] / p[:, 2:] for matrix in (first, second)]
-    return float(np.median(np.linalg.norm(positions[1] - positions[0], axis=1)))
+    positions = [(moved := matrix @ rays)[:2] / moved[2] for matrix in (first, second)]
+    return float(np.median(np.hypot(*(positions[1] - positions[0]))))

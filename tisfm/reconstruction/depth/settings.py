@@ -128,11 +128,12 @@ class DepthSettings:
     homography_smoothing: float = 0.8  # px: standard deviation of the Gaussian on images
     homography_samples: int = 2**14  # approximate number of pixels that are compared
     homography_border: int = 4  # px: pixels near the border of a frame are not compared
-    homography_steps: int = 3  # largest number of Gauss–Newton steps
-    min_homography_step: float = 0.005  # px: a smaller step ends them
+    homography_steps: int = 2  # Gauss–Newton steps with fewer samples, before one with all
+    homography_sample_factor: int = 8  # samples of the last step, divided by those of these steps
     # px: median change of a homography by these steps; a larger change is a wrong match
     max_homography_change: float = 2.0
     min_overlap: float = 0.3  # share of the pixels of a frame that the other frame shows
+    min_homography_samples: int = 100  # pixels that are compared: fewer give no homography
     min_grey_deviation: float = 0.1  # grey levels: smallest assumed deviation of noise
     # smallest eigenvalue of the equations of a homography, divided by the largest: with less, the
     # frames have too little texture
@@ -143,8 +144,13 @@ class DepthSettings:
     plane_rounds: int = 10  # Gauss–Newton steps of all poses
     min_plane_step: float = 1e-7  # rad, and share of the plane's distance: a smaller step ends them
     plane_damping: float = 1e-9  # damping, as a share of the diagonal of the system
-    # frames between two frames whose tracks are compared with a plane
+    # largest distance, in frames, between two frames whose tracks are compared with a plane
     relief_gap: int = 8
+    # Tracks that two such frames share: the least number, and as a share of the tracks that
+    # neighbours share. With fewer, nearer frames are compared.
+    min_relief_tracks: int = 20
+    min_relief_track_share: float = 0.3
+    min_relief_frames: float = 0.9  # share of the frames whose tracks are compared
     # px: smallest assumed deviation of tracks across epipolar lines
     min_track_deviation: float = 0.05
     # deviations: tracks farther than this from their position on the plane count

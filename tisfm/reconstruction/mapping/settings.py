@@ -99,11 +99,11 @@ class MappingSettings:
     min_baseline: float = 0.02
     # plane_motion
     plane_rounds: int = 10  # reweighted rounds of the fit of a plane
-    # median distance of points from their plane, as a share of the depth: rendered planes had
-    # 0.001 to 0.01, with the right motion and with the wrong one
+    # median |m · X − 1| of points: their distance from the plane m · X = 1, divided by the distance
+    # of the camera from it. Rendered planes had 0.001 to 0.01, with the right motion and the wrong
     max_plane_residual: float = 0.02
-    # extent of the path across its main direction, as a share of its length: a longer path has no
-    # second motion
+    # second singular value of the vectors w = u + |u|² m / 2 of the views, divided by the first: a
+    # larger ratio shows that their directions differ, and that there is no second motion
     max_sideways_share: float = 0.3
     # share of the points that the plane of the second motion has to be in front of
     min_share_before_plane: float = 0.9
