@@ -68,8 +68,8 @@ class PoseDeviationSettings:
     """Standard deviations of poses."""
 
     # Factors for errors that tracks share, which their residuals do not show. They were chosen on
-    # 25 paths of half A of bench.trust. On 28 of half B, 70 % (position) and 71 % (rotation) of the
-    # errors are within one deviation, and 94 and 95 % within two.
+    # paths of half A of bench.trust. On 45 of half B, 74 % (position) and 72 % (rotation) of the
+    # errors are within one deviation, and 92 and 91 % within two.
     position_factor: float = 1.1
     rotation_factor: float = 1.0
     # frames whose covariance is found together: memory grows like its square, time like its cube
