@@ -71,7 +71,8 @@ def test_the_folder_holds_the_promised_files(tisfm_run, film, work_folder, fusin
         rf"{COUNT} of {COUNT} frames have a pose, in 1 piece; (\d+) keyframes\. Grade [^\n]+ "
         r"\(worst\)\. Results in out\.\n"
         r"(the result depends on the stated focal length[^\n]+\n)?"
-        r"median deviations of the poses: position ±[^\n]+ % of the path, rotation ±[^\n]+°\n",
+        r"median deviations of the poses: position ±[^\n]+ in the unit of the poses, "
+        r"rotation ±[^\n]+°\n",
         err,
     )
     assert told

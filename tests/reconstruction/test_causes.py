@@ -1,6 +1,8 @@
 """Causes of missing poses: measures of images and tracks, and the statuses that they lead to."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -15,8 +17,9 @@ from tisfm.reconstruction.causes.cause_search import CauseSearch
 from tisfm.reconstruction.causes.image_measures import ImageMeasures
 from tisfm.reconstruction.causes.track_measures import TrackMeasures
 from tisfm.reconstruction.path.missing_poses import MissingPoses, split_runs
-from tisfm.reconstruction.result.path_check import UNCHECKED
+from tisfm.reconstruction.result.path_check import UNCHECKED, PathCheck
 from tisfm.reconstruction.result.statuses import add_piece_note, find_cause, mark_contradicted
+from tisfm.reconstruction.stages.checks import find_contradiction_causes
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.report.tables import MEANINGS
 from tisfm.status import STATUSES, Status
@@ -258,6 +261,45 @@ def test_contradiction_names_what_hides_the_motion():
     assert second.message == f"{check.message}. Probable cause: the brightness changes"
     assert find_cause(first) == "" and find_cause(second) == "the brightness changes"
     assert find_cause(add_piece_note(second)) == "the brightness changes"
+
+
+class DoubtedCheck(PathCheck):
+    """A check whose only objection is the order of depth, as beside a fixed pattern."""
+
+    objections = ("rank",)
+
+    def median(self, name):
+        return {"rank": 0.44}[name]
+
+
+@pytest.mark.parametrize(
+    ("cause", "contradicted"),
+    [
+        (Status("fixed_pattern", "a pattern is fixed on the sensor"), True),
+        (Status("noise", "noise hides the motion"), True),
+        (Status("repeated_texture", "the texture repeats itself"), False),
+        (None, False),
+    ],
+)
+def test_doubt_beside_what_misleads_tracks_is_a_contradiction(cause, contradicted):
+    check = DoubtedCheck(pairs=(), fixed_share=0.0, infinity_motion=0.0)
+    assert not check.contradicts and check.doubt
+    path = SimpleNamespace(observations=(), pieces=[SimpleNamespace(poses={0: None, 1: None})])
+    frames = SimpleNamespace(camera=CAMERA, shape=(60, 80), tracker_input=None)
+    with mock.patch.object(CauseSearch, "find_image_cause", return_value=cause):
+        causes = find_contradiction_causes(frames, path, [check])
+    (status,) = mark_contradicted([Status("converged")], [0], [check], causes)
+    assert (status == "contradicted") == contradicted
+    if contradicted:
+        assert status.message == f"{check.doubt}. Probable cause: {cause.message}"
+        assert "rank correlation 0.44" in status.message
+
+
+def test_doubt_of_a_chunk():
+    part = DoubtedCheck(pairs=(), fixed_share=0.0, infinity_motion=0.0)
+    joined = PathCheck.joined([UNCHECKED, part])
+    assert "chunk" in joined.doubt and part.doubt in joined.doubt
+    assert UNCHECKED.doubt == ""
 
 
 def test_runs_of_frames():

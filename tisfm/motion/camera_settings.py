@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from tisfm.errors import InputError
+
 
 @dataclass(frozen=True, kw_only=True)
 class LightSettings:
@@ -105,7 +107,7 @@ class IntrinsicsSettings:
     def __post_init__(self) -> None:
         counts = {len(self.focal_values), len(self.zoom_values), len(self.distortion_values)}
         if len(counts) > 1:
-            raise ValueError(
+            raise InputError(
                 f"focal_values has {len(self.focal_values)} values, zoom_values "
                 f"{len(self.zoom_values)} and distortion_values {len(self.distortion_values)}: "
                 "all three must have the same number"

@@ -6,6 +6,9 @@ from tisfm.reconstruction.causes.track_measures import TrackMeasures
 from tisfm.reconstruction.rotation.settings import ROTATION
 from tisfm.status import Status
 
+# Causes that mislead tracks, rather than end them.
+MISLEADING_CAUSES = ("fixed_pattern", "noise", "changing_light")
+
 
 def explain_images(images: ImageMeasures, tracks: TrackMeasures) -> Status | None:
     """Return what the images show against a path, as a status; None for nothing."""

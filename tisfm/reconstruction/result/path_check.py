@@ -261,6 +261,23 @@ class PathCheck:
         return bool({"zoom", "fixed"} & set(self.objections)) or len(self.objections) > 1
 
     @property
+    def doubt(self) -> str:
+        """What one check says against the order of depth; "" if nothing, or if more is said.
+
+        It is no contradiction by itself, but it is one where the images show what misleads the
+        tracks, such as a pattern that is fixed on the sensor.
+        """
+        if self.contradicts or "rank" not in self.objections:
+            return ""
+        if self.parts:
+            doubted = next(part for part in self.parts if part.doubt)
+            return f"a chunk of the frames{doubted.span_text}: {doubted.doubt}"
+        return (
+            "depth has another order than the image motion between the frames (rank correlation "
+            f"{self.median('rank'):.2f})"
+        )
+
+    @property
     def span_text(self) -> str:
         """The frames between which there is evidence, in words; "" without pairs."""
         numbers = [number for pair in self.pairs for number in (pair.first, pair.second)]

@@ -85,7 +85,8 @@ def mark_contradicted(
     statuses: Sequence[Status],
     pieces: Sequence[int],  # piece of each frame, −1 for none
     checks: Sequence[PathCheck],  # of each piece
-    # by piece: what hides the motion, in words, if the images show it
+    # by piece: what hides the motion, in words, if the images show it. A piece with a doubt and a
+    # cause is contradicted.
     causes: Mapping[int, str] = MappingProxyType({}),
     objection: str = "",  # what contradicts the camera of all pieces; "" if nothing does
 ) -> tuple[Status, ...]:
@@ -99,9 +100,11 @@ def mark_contradicted(
         if piece >= 0 and status == ONLY_TURNS:
             if objection:
                 status = Status(str(status), f"{status.message}; {objection}")
-        elif piece >= 0 and (objection or checks[piece].contradicts):
-            reason = objection or checks[piece].message
-            status = _keep_notes(contradict(reason, causes.get(piece, "")), status)
+        elif piece >= 0:
+            cause = causes.get(piece, "")
+            reason = objection or checks[piece].message or (checks[piece].doubt if cause else "")
+            if reason:
+                status = _keep_notes(contradict(reason, cause), status)
         marked.append(status)
     return tuple(marked)
 

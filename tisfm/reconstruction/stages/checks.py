@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.reconstruction.causes.cause import MISLEADING_CAUSES
 from tisfm.reconstruction.causes.cause_search import CauseSearch
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.mapping.solution import Piece
@@ -74,7 +75,10 @@ def _check_piece(
 def find_contradiction_causes(
     frames: PreparedFrames, path: CameraPath, checks: Sequence[PathCheck]
 ) -> dict[int, str]:
-    """Return what hides the motion in contradicted pieces, by piece, if the images show it."""
+    """Return what hides the motion, by piece, in pieces that are contradicted or in doubt.
+
+    A doubt counts beside noise, a fixed pattern or changing light only: these mislead tracks.
+    """
     search = CauseSearch.of_images(
         path.observations,
         frames.camera,
@@ -84,6 +88,10 @@ def find_contradiction_causes(
     causes = {
         number: search.find_image_cause(sorted(piece.poses))
         for number, (piece, check) in enumerate(zip(path.pieces, checks, strict=True))
-        if check.contradicts
+        if check.contradicts or check.doubt
     }
-    return {number: cause.message for number, cause in causes.items() if cause is not None}
+    return {
+        number: cause.message
+        for number, cause in causes.items()
+        if cause is not None and (checks[number].contradicts or cause in MISLEADING_CAUSES)
+    }
