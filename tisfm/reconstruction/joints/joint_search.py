@@ -116,8 +116,8 @@ def _shifted_starts(similarity: np.ndarray, earlier: PieceEnd, later: PieceEnd) 
         scores[i, j] = later.score(earlier.patches[-1], to_camera, level=-1)
     is_maximum = scores >= cv2.dilate(scores, np.ones((3, 3)))
     is_maximum &= np.hypot(rows[:, None], columns) > JOINTS.turn_step
-    places = np.argwhere(is_maximum & (scores > JOINTS.min_coarse_score))
-    places = sorted(places.tolist(), key=lambda place: -scores[place[0], place[1]])
+    places = np.argwhere(is_maximum & (scores > JOINTS.min_coarse_score)).tolist()
+    places.sort(key=lambda place: -scores[place[0], place[1]])
     return [shifted[i, j] for i, j in places[: JOINTS.max_rivals]]
 
 
