@@ -69,7 +69,7 @@ class Case:
 
     @property
     def has_exact_poses(self) -> bool:
-        """Whether errors of poses are those of the program, not of the truth or a wrong camera."""
+        """Whether the true poses and the stated camera are exact: then the program makes all errors."""
         exact = RIGHT_FOCALS if self.clip is None else self.clip.exact_poses
         return self.focal in exact
 

@@ -109,7 +109,7 @@ def test_ignored_pixels_are_not_compared():
 
 
 def test_thin_strip_of_used_pixels_gives_no_homography():
-    """Its pixels have neighbours that are not used, so none of them is compared."""
+    """Every pixel of the strip has an unused neighbour, so no pixel is compared."""
     frames, true = film()
     points, used = on_plane(), np.zeros(SHAPE, bool)
     used[60:63] = True

@@ -222,7 +222,7 @@ def find_derivatives(
 
 
 def _find_changes(changed: Rays, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return by what share of themselves points of both frames move as values grow, (M, N) each."""
+    """Return the relative motion of points of both frames as values grow, (M, N) each."""
     x0, x1 = changed.rays0[:, :2], changed.rays1
     change0, change1 = np.ones((2, len(groups), x0.shape[2]), x0.dtype)
     change0[groups == ZOOM] = 0.0

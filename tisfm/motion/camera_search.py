@@ -148,7 +148,10 @@ def measure_changes(rays: Rays, pose: Pose, cameras: Cameras) -> Changes:
 
 
 def _find_medians(values: np.ndarray, is_used: np.ndarray) -> np.ndarray:
-    """Return the medians of the used values of each row, (M, N); some number if none is used."""
+    """Return the median of the used values of each row, (M, N).
+
+    A row without used values gives an arbitrary number.
+    """
     ordered = np.sort(np.where(is_used, values, np.inf), axis=1)
     counts = np.count_nonzero(is_used, axis=1)
     rows = np.arange(len(values))

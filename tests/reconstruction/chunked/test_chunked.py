@@ -72,7 +72,7 @@ def test_result_is_as_of_any_reconstruction(found):
 def test_path_is_nearly_as_exact_as_at_once(found, at_once):
     once, parts = (path_error(one.poses, film().poses) for one in (at_once, found))
     assert once < 0.01 and parts < 0.02
-    # Deviations are in the unit of the joined path, those of a chunk after its own alignment.
+    # Deviations are in the unit of the joined path. Each chunk has its own alignment.
     ratio = found.position_deviation[:, 0] / at_once.position_deviation[:, 0]
     assert 0.1 < np.median(ratio[:CHUNK]) < 2 and 0.1 < np.median(ratio[CHUNK:]) < 2
 

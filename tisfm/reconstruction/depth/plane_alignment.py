@@ -1,6 +1,7 @@
 """Poses of a camera before a single plane, aligned to the grey levels of all pixels.
 
-Frames of a plane differ by homographies. Those of many pairs of frames are measured on all pixels.
+Frames of a plane differ by homographies. The homographies of many pairs of frames are measured on
+all pixels.
 Poses and the normal of the plane are then fitted to them. Tracks are less exact: they follow a few
 hundred points, and drift.
 """
@@ -59,7 +60,7 @@ def align_plane(
 ) -> dict[int, np.ndarray] | None:
     """Return aligned poses, by frame; None if the points do not all lie on one plane.
 
-    None is also returned if too few frames share tracks, which would show relief.
+    It is None as well if few frames share tracks: only tracks show relief.
     """
     frames = list(poses)
     if len(frames) < MAPPING.min_views:

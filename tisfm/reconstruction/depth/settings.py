@@ -129,7 +129,7 @@ class DepthSettings:
     homography_samples: int = 2**14  # approximate number of pixels that are compared
     homography_border: int = 4  # px: pixels near the border of a frame are not compared
     homography_steps: int = 2  # Gauss–Newton steps with fewer samples, before one with all
-    homography_sample_factor: int = 8  # samples of the last step, divided by those of these steps
+    homography_sample_factor: int = 8  # samples of the last step over samples of these steps
     # px: median change of a homography by these steps; a larger change is a wrong match
     max_homography_change: float = 2.0
     min_overlap: float = 0.3  # share of the pixels of a frame that the other frame shows

@@ -104,7 +104,7 @@ class Aligner:
 
     earlier: PieceEnd
     later: PieceEnd
-    # whether patches of the earlier piece are used, and those of the later one
+    # whether patches of the earlier piece are used, and whether patches of the later one are
     uses: tuple[bool, bool] = (True, True)
 
     @property

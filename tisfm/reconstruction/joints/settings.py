@@ -9,7 +9,7 @@ class JointSettings:
 
     # ends of pieces
     max_gap: int = 4  # frames from the last frame of a piece to the first frame of the next one
-    # frames from the end of a piece to the frames that see its points, and those of the other piece
+    # distances, in frames, from the end of a piece to its frames that are compared with both pieces
     frame_steps: tuple[int, ...] = (0, 1, 2, 4)
     min_points: int = 40  # points that the frames beside a joint show
     max_points: int = 400  # points of a frame that are used

@@ -18,7 +18,7 @@ def find_other_motion(
 ) -> np.ndarray | None:
     """Return the poses of the other motion, (V, 3, 4), if all points lie in one plane.
 
-    The poses are exact for two views, and a start for an adjustment of more views. None is returned
+    For two views the poses are exact; with more views, adjust them. None is returned
     if the points do not lie in one plane, if the camera does not move along a line, or if the plane
     of the other motion is not in front of the camera.
 
