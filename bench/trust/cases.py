@@ -69,7 +69,7 @@ class Case:
 
     @property
     def has_exact_poses(self) -> bool:
-        """Whether the true poses and the stated camera are exact: then the program makes all errors."""
+        """Whether the true poses and the stated camera are exact, so that all errors are ours."""
         exact = RIGHT_FOCALS if self.clip is None else self.clip.exact_poses
         return self.focal in exact
 

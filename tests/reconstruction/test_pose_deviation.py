@@ -99,16 +99,21 @@ def errors(piece, truth):
     return np.c_[shift, np.degrees(Rotation.from_matrix(rotation).as_rotvec())]
 
 
-def test_deviations_are_the_spread_of_adjusted_poses():
-    truth, observations = tracks_of(walk())
+def spread_ratio(truth, tracks_of_seed):
+    """Return the spread of adjusted poses over their stated deviations, (F, 6)."""
     spread, stated = [], []
     for seed in range(24):
-        tracks = noisy(observations, seed)
+        tracks = tracks_of_seed(seed)
         piece = adjusted(truth, tracks)
         spread.append(errors(piece, truth))
         found = deviations_of(piece, tracks)
         stated.append(np.c_[found.position, found.rotation])
-    ratio = np.sqrt(np.mean(np.square(spread), axis=0) / np.mean(np.square(stated), axis=0))
+    return np.sqrt(np.mean(np.square(spread), axis=0) / np.mean(np.square(stated), axis=0))
+
+
+def test_deviations_are_the_spread_of_adjusted_poses():
+    truth, observations = tracks_of(walk())
+    ratio = spread_ratio(truth, lambda seed: noisy(observations, seed))
     # A deviation from 24 draws is off by 14 %.
     assert ratio.min() > 0.55 and ratio.max() < 1.6
     assert np.median(ratio) == pytest.approx(1, abs=0.15)
@@ -117,19 +122,16 @@ def test_deviations_are_the_spread_of_adjusted_poses():
 def test_drift_of_tracks_is_part_of_the_deviations():
     """Errors that stay in a track from frame to frame cost more than independent ones."""
     truth, observations = tracks_of(walk())
-    spread, stated = [], []
-    for seed in range(24):
+
+    def drifting(seed):
         random = np.random.default_rng(seed)
         drift = np.cumsum(0.05 * random.standard_normal((len(observations), 150, 2)), axis=0)
-        tracks = [
+        return [
             replace(view, points=view.points + drift[k][view.tracks])
             for k, view in enumerate(observations)
         ]
-        piece = adjusted(truth, tracks)
-        spread.append(errors(piece, truth))
-        found = deviations_of(piece, tracks)
-        stated.append(np.c_[found.position, found.rotation])
-    ratio = np.sqrt(np.mean(np.square(spread), axis=0) / np.mean(np.square(stated), axis=0))
+
+    ratio = spread_ratio(truth, drifting)
     assert ratio.min() > 0.55 and ratio.max() < 1.7
     assert np.median(ratio) == pytest.approx(1, abs=0.2)
 
