@@ -244,6 +244,7 @@ def _scores(
                     poses_given=getattr(method, "poses_given", False),
                     max_depth=MAX_DEPTH,
                     with_depth=stored.has_depth,
+                    is_truth_blurred=entry.is_truth_blurred,
                 )
             scores.append(
                 Score(

@@ -24,6 +24,7 @@ SEQUENCES = (
 # Folder, and the number of the frame from which every second frame is left out: the car then seems
 # to drive faster.
 THINNED = (("kitti_odometry_06", 25),)
+BLURRED = ("hololens", "sevenscenes")  # folders whose sensor of true depth blurs outlines
 MAX_DEPTH = 40.0  # m: larger true depths do not count
 
 
@@ -39,6 +40,11 @@ class Entry:
         if self.step > 1:
             name += f", every {self.step}"
         return name if self.thinned is None else f"{name}, every 2 from {self.thinned} on"
+
+    @property
+    def is_truth_blurred(self) -> bool:
+        """Whether the sensor of the true depth blurs outlines."""
+        return self.sequence.name in BLURRED
 
     def load(self) -> LoadedSequence:
         """Return the sequence without its frames and depth maps."""

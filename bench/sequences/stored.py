@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 class StoredResult:
     """A stored result with the interface that `tisfm.evaluation.compare_sequence` needs.
 
-    NAME.json in its folder has the pose of each frame, (4, 4) or None, its segment, its status, and
-    the unit that divides its inverse depth. NNNNNN.npy and NNNNNN_std.npy are the inverse depth and
-    its deviation of each frame with depth.
+    NAME.json in its folder has the pose of each frame, (4, 4) or None, its segment, its status, the
+    unit that divides its inverse depth, and the numbers of the keyframes, or None. NNNNNN.npy and
+    NNNNNN_std.npy are the inverse depth and its deviation of each frame with depth.
     """
 
     def __init__(self, folder: Path, name: str) -> None:
@@ -23,6 +23,7 @@ class StoredResult:
         self.poses: NDArray[np.float64] = np.array(poses, dtype=float)
         self.piece: NDArray[np.int32] = np.array(content["piece"], np.int32)
         self.status: list[str] = content["status"]
+        self.keyframes: list[int] | None = content["keyframes"]
         self._units: list[float] = content["units"]
 
     @property
@@ -52,11 +53,13 @@ def store(
     piece: list[int],
     status: list[str],
     units: list[float] | None = None,
+    keyframes: list[int] | None = None,  # None if the method has none
 ) -> None:
     content: dict[str, Any] = {
         "poses": [pose.tolist() if np.isfinite(pose).all() else None for pose in poses],
         "piece": piece,
         "status": status,
+        "keyframes": keyframes,
         "units": units or [1.0] * len(piece),
     }
     (folder / f"{name}.json").write_text(json.dumps(content), encoding="utf-8")

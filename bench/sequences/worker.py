@@ -79,6 +79,7 @@ def _reconstruct(
         poses=result.poses,
         piece=[int(piece) for piece in result.piece],
         status=[str(status) for status in result.status],
+        keyframes=list(result.keyframes),
     )
     calibration = result.calibration
     length = calibration.focal or result.camera.focal  # in px of the source, like the deviation

@@ -7,11 +7,12 @@ May import: all of `tisfm` but `tisfm.cli`.
 from tisfm.evaluation.moving_objects import compare_masks
 from tisfm.evaluation.pair_errors import PairEvaluation
 from tisfm.evaluation.pairs import Evaluation, evaluate
-from tisfm.evaluation.sequence_depth import SequenceDepthErrors
+from tisfm.evaluation.sequence_depth import FrameGroupErrors, SequenceDepthErrors
 from tisfm.evaluation.sequences import PieceErrors, SequenceEvaluation, compare_sequence
 
 __all__ = [
     "Evaluation",
+    "FrameGroupErrors",
     "PairEvaluation",
     "PieceErrors",
     "SequenceDepthErrors",

@@ -1,5 +1,6 @@
 """Depth of the frames of a sequence compared with the true depth, in one scale."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import fmean, median
 
@@ -11,6 +12,12 @@ from tisfm.datasets import LoadedSequence
 from tisfm.datasets.pose_files import motion_between
 from tisfm.evaluation.sequence_result import SequenceResult
 from tisfm.lens import undistort_depth
+from tisfm.metrics.depth_outlines import (
+    RegionErrors,
+    outlines,
+    outlines_of_blurred_depth,
+    region_errors,
+)
 from tisfm.metrics.depth_sequence import (
     LogMedian,
     certain_error,
@@ -36,6 +43,41 @@ class FrameDepthErrors:
     scale: float | None  # best scale for this frame alone: the median of d*/d; None without depth
     # as `tisfm.metrics.flicker`, from this frame to the next; None if a depth map is missing
     flicker: float | None
+    # Over the whole frame, and near outlines of the true depth; None for a frame without depth. The
+    # second is None in a frame without outlines, too.
+    whole: RegionErrors | None
+    outline: RegionErrors | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameGroupErrors:
+    """Errors of the keyframes of a sequence, or of the frames between them.
+
+    Attributes
+    ----------
+    frames : int
+        Frames with depth and with a true depth.
+    error, wrong : float
+        Means over these frames: relative error, and share of the pixels with an error above 10 %,
+        see `tisfm.metrics.RegionErrors`.
+    outline_error, outline_wrong : float or None
+        The same near outlines of the true depth; None if no frame has outlines.
+
+    Examples
+    --------
+    >>> from tisfm.evaluation import FrameGroupErrors
+    >>> group = FrameGroupErrors(
+    ...     frames=3, error=0.02, wrong=0.03, outline_error=0.1, outline_wrong=0.2
+    ... )
+    >>> group.outline_error > group.error
+    True
+    """
+
+    frames: int
+    error: float
+    wrong: float
+    outline_error: float | None
+    outline_wrong: float | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +106,9 @@ class SequenceDepthErrors:
     flicker : float or None
         Mean over pairs of consecutive frames.
     per_frame : tuple of FrameDepthErrors
+    keyframes, between : FrameGroupErrors or None
+        Errors of keyframes and of frames between them; None if there are none, or if the result
+        does not tell them apart.
 
     Examples
     --------
@@ -87,6 +132,8 @@ class SequenceDepthErrors:
     scale_spread: float | None
     flicker: float | None
     per_frame: tuple[FrameDepthErrors, ...]
+    keyframes: FrameGroupErrors | None = None
+    between: FrameGroupErrors | None = None
 
 
 def sequence_depth_errors(
@@ -96,6 +143,7 @@ def sequence_depth_errors(
     camera: Camera,  # camera of the original frames: true depth is resampled like these
     scale: float | None = None,  # factor of the depth; by default the median of d*/d of all frames
     max_depth: float | None = None,  # larger true depth counts as unknown
+    is_truth_blurred: bool = False,  # whether the sensor of the true depth blurs outlines
 ) -> SequenceDepthErrors | None:  # none if no frame has a true depth
     """Compare the depth of a sequence with the true depth.
 
@@ -114,7 +162,8 @@ def sequence_depth_errors(
         return None
     if scale is None:
         scale = ratios.median() or 1.0
-    frames = _compare_frames(loaded, result, camera, max_depth, scale, best_scales)
+    find_outlines = outlines_of_blurred_depth if is_truth_blurred else outlines
+    frames = _compare_frames(loaded, result, camera, max_depth, scale, best_scales, find_outlines)
     scales = [frame.scale for frame in frames if frame.scale is not None]
     certain = [frame.certain for frame in frames if frame.certain is not None]
     has_deviations = len(certain) == len(frames)
@@ -130,6 +179,36 @@ def sequence_depth_errors(
         scale_spread=float(np.std(np.log(scales))) if scales else None,
         flicker=fmean(flickers) if flickers else None,
         per_frame=tuple(frames),
+        **_group_frames(frames, getattr(result, "keyframes", None)),
+    )
+
+
+def _group_frames(
+    frames: Sequence[FrameDepthErrors],
+    keyframes: Sequence[int] | None,  # numbers of the keyframes; None if they are unknown
+) -> dict[str, FrameGroupErrors | None]:
+    """Return the errors of the keyframes and of the frames between them."""
+    if keyframes is None:
+        return {}
+    keys = set(keyframes)
+    return {
+        "keyframes": _mean_errors([frame for frame in frames if frame.frame in keys]),
+        "between": _mean_errors([frame for frame in frames if frame.frame not in keys]),
+    }
+
+
+def _mean_errors(frames: Sequence[FrameDepthErrors]) -> FrameGroupErrors | None:
+    """Return the means of the errors of frames; None if no frame has depth."""
+    whole = [frame.whole for frame in frames if frame.whole is not None]
+    if not whole:
+        return None
+    outline = [frame.outline for frame in frames if frame.outline is not None]
+    return FrameGroupErrors(
+        frames=len(whole),
+        error=fmean(errors.error for errors in whole),
+        wrong=fmean(errors.wrong for errors in whole),
+        outline_error=fmean(errors.error for errors in outline) if outline else None,
+        outline_wrong=fmean(errors.wrong for errors in outline) if outline else None,
     )
 
 
@@ -140,6 +219,7 @@ def _compare_frames(
     max_depth: float | None,
     scale: float,
     best_scales: dict[int, float | None],
+    find_outlines: Callable[[NDArray], NDArray[np.bool_]],  # true depth → pixels near outlines
 ) -> list[FrameDepthErrors]:
     """Compare every frame with a true depth; each map is read once."""
     frames: list[FrameDepthErrors] = []
@@ -165,9 +245,13 @@ def _compare_frames(
             )
         error: float = ERROR_WITHOUT_DEPTH
         certain: float | None = ERROR_WITHOUT_DEPTH
+        whole, outline = None, None
         if best_scales[index] is not None:
             error = limited_error(inverse, true_depth, scale=scale)
             certain = _certain_error(inverse, result.inverse_depth_std(index), true_depth, scale)
+            everywhere, near = np.ones(true_depth.shape, bool), find_outlines(true_depth)
+            whole = region_errors(inverse, true_depth, everywhere, scale=scale)
+            outline = region_errors(inverse, true_depth, near, scale=scale)
         frames.append(
             FrameDepthErrors(
                 frame=index,
@@ -176,6 +260,8 @@ def _compare_frames(
                 share=estimated_share(inverse, true_depth),
                 scale=best_scales[index],
                 flicker=flicker_to_next,
+                whole=whole,
+                outline=outline,
             )
         )
         next_frame = index, inverse, true_depth

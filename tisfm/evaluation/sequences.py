@@ -139,6 +139,7 @@ def compare_sequence(
     poses_given: bool = False,
     max_depth: float | None = None,
     with_depth: bool = True,
+    is_truth_blurred: bool = False,
     seconds: float | None = None,
 ) -> SequenceEvaluation:
     """Compare a reconstruction with the truth.
@@ -160,6 +161,9 @@ def compare_sequence(
         Larger true depth counts as unknown, m.
     with_depth : bool
         Whether to compare depth.
+    is_truth_blurred : bool
+        Whether the sensor of the true depth blurs outlines: they are then found in larger windows,
+        see `tisfm.metrics.outlines_of_blurred_depth`.
     seconds : float, optional
         Time of the reconstruction.
 
@@ -201,7 +205,12 @@ def compare_sequence(
         path=path,
         pieces=() if poses_given else _compare_pieces(result, loaded, path),
         depth=sequence_depth_errors(
-            loaded, result, camera=camera, scale=1.0 if poses_given else None, max_depth=max_depth
+            loaded,
+            result,
+            camera=camera,
+            scale=1.0 if poses_given else None,
+            max_depth=max_depth,
+            is_truth_blurred=is_truth_blurred,
         )
         if compares_depth
         else None,

@@ -9,6 +9,12 @@ May import: of the top level `checks` and `rigid`.
 
 from tisfm.metrics.alignment import Similarity, align
 from tisfm.metrics.depth import DepthErrors, depth_error_map, depth_errors
+from tisfm.metrics.depth_outlines import (
+    RegionErrors,
+    outlines,
+    outlines_of_blurred_depth,
+    region_errors,
+)
 from tisfm.metrics.depth_sequence import certain_error, flicker, limited_error
 from tisfm.metrics.depth_std import std_coverage
 from tisfm.metrics.flow import (
@@ -43,6 +49,7 @@ __all__ = [
     "ObjectScores",
     "OcclusionScores",
     "PoseErrors",
+    "RegionErrors",
     "RelativeErrors",
     "Similarity",
     "absolute_errors",
@@ -61,8 +68,11 @@ __all__ = [
     "object_path_errors",
     "occlusion_scores",
     "outlier_rate",
+    "outlines",
+    "outlines_of_blurred_depth",
     "path_length",
     "pose_errors",
+    "region_errors",
     "relative_errors",
     "std_coverage",
 ]

@@ -45,16 +45,28 @@ def limited_error(inverse_depth: ArrayLike, truth: ArrayLike, *, scale: float = 
     >>> limited_error(1 / (1.25 * truth), truth)
     0.25
     """
+    errors, _ = relative_errors_of_depth(inverse_depth, truth, scale=scale)
+    return float(errors.mean())
+
+
+def relative_errors_of_depth(
+    # inverse_depth, truth, scale: as for `limited_error`
+    inverse_depth: ArrayLike,
+    truth: ArrayLike,
+    *,
+    scale: float,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return limited |d - d*| / d* of the pixels with known truth, (K,), and their mask, (H, W)."""
     inverse, true_depth, has_truth = _check_maps(inverse_depth, truth)
     inverse, true_depth = inverse[has_truth], true_depth[has_truth]
     has_estimate = _has_estimate(inverse)
     if not has_estimate.any():
-        return 1.0
+        return np.ones(len(true_depth)), has_truth
     max_depth = MAX_DEPTH_RATIO * true_depth.max()
     depth = np.full(len(true_depth), max_depth)
     depth[has_estimate] = scale / inverse[has_estimate]
     depth = depth.clip(MIN_DEPTH_RATIO * true_depth.min(), max_depth)
-    return float((np.abs(depth - true_depth) / true_depth).mean())
+    return np.abs(depth - true_depth) / true_depth, has_truth
 
 
 def certain_error(
