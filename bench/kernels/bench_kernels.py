@@ -128,6 +128,7 @@ WITHOUT_LANES = (
     "improve",
     "plane_disagreement",
     "costs",
+    "find_fattened",
 )
 # Module → kernels without variants.
 PLAIN = {
@@ -154,6 +155,7 @@ PLAIN = {
     "rigid.plane_sweep": ("matching_cost",),
     "rigid.patch_match": ("score", "improve", "plane_disagreement"),
     "rigid.view_search": ("score", "improve", "costs"),
+    "rigid.foreground_fattening": ("find_fattened",),
     "rigid.semi_global": ("aggregate", "best_hypothesis"),
     "model.readout": ("rigid_fields",),
 }

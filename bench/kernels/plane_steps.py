@@ -8,6 +8,7 @@ from bench import reference
 from bench.kernels.sides import NumpySide, Run, TaichiSide, Timed
 from bench.kernels.traffic import VIEWS
 from bench.shared.problems import UNCERTAIN_BORDER, Problem, in_single_precision
+from tisfm.kernels.rigid.foreground_fattening import find_fattened
 from tisfm.kernels.rigid.patch_match import MAX_SLOPE, PlaneSearch, plane_disagreement
 from tisfm.kernels.rigid.view_search import MISSING_FRAME_COST, ViewSearch
 from tisfm.kernels.rigid.windows import MAX_GREY, UNTEXTURED
@@ -20,6 +21,15 @@ TILT = 0.02  # px/frame per px, of drawn slopes
 DRAWS = 2  # planes that are drawn per pixel
 BEST_FRAMES = 1  # number of best frames whose mean cost counts
 PLANE = (0.03, -0.02)  # slopes of the only plane of frame 1
+
+FATTENING = {
+    "contour_distance": 5,
+    "surface_distance": 12,
+    "contrast": 3.0,
+    "min_contrast": 4.5,
+    "min_step": 0.07,
+    "max_difference": 0.04,
+}
 
 
 class Planes:
@@ -51,6 +61,12 @@ class Planes:
             *self.levels, planes, self.camera, *self.pose, noise=NOISE**2
         )
         return np.where(variance > MIN_WINDOW_VARIANCE * NOISE**2, cost, UNTEXTURED)
+
+    def outlined(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return frame, inverse depth and matches, (H, W) each, with outlines every 8 columns."""
+        depth, steps = self.start_planes[0], np.arange(self.levels[0].shape[1]) // 8 % 2
+        outlined_depth = in_single_precision(np.abs(depth) * (1 + 0.5 * steps))
+        return self.levels[0] + 100 * steps, outlined_depth, np.roll(outlined_depth, 3, axis=1)
 
 
 def search_options(p: Problem) -> dict:
@@ -176,6 +192,11 @@ class PlaneOperations(TaichiSide):
         out = np.empty((VIEWS, p.height, p.width), np.float32)
         return partial(search.write_costs, state, out), lambda _: out * self.views.is_compared
 
+    def find_fattened(self) -> Timed:
+        arrays = [np.ascontiguousarray(a, np.float32) for a in self.planes.outlined()]
+        out = np.empty(arrays[0].shape, np.int32)
+        return partial(find_fattened, *arrays, out, **FATTENING), lambda _: out[None].astype(float)
+
     def _search(self) -> PlaneSearch:
         p, levels = self.problem, [part.astype(np.float32) for part in self.planes.levels]
         return PlaneSearch(*levels, p.motions[0], **search_options(p))
@@ -206,6 +227,10 @@ class PlaneReferences(NumpySide):
         planes = self.planes
         arguments = planes.start_planes, planes.planes1, planes.camera, *planes.pose
         return lambda: _finite_difference(reference.plane_disagreement(*arguments), planes.certain)
+
+    def find_fattened(self) -> Run:
+        arrays = self.planes.outlined()
+        return lambda: reference.find_fattened(*arrays, **FATTENING)[None].astype(float)
 
     def views_score(self) -> Run:
         return reference_score(self.views)

@@ -25,6 +25,7 @@ from bench.reference.data import robust_tensor, tensors_of
 from bench.reference.depth_maps import align_depth_edges, merge_depths, render_depth
 from bench.reference.epipolar import displacement, frame_equations, motion_jacobian, motion_system
 from bench.reference.epipolar import restrict_to_line
+from bench.reference.foreground_fattening import find_fattened
 from bench.reference.images import derivatives, hidden_pixels, splat, warp
 from bench.reference.linear_system import local_matrices, local_right_sides, sweep_lexicographic
 from bench.reference.linear_system import sweep_red_black

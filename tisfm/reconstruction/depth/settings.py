@@ -39,6 +39,15 @@ class DepthSettings:
     # scenes: such matches have an error of 0.3 cells, and a tenth of them an error of 1 cell. More
     # certain matches have an error of 0.1 cells, and a fiftieth of them an error of 1 cell.
     half_weight_match_deviation: float = 0.5
+    # fattened_matches: distances in px of the level of the windows, which have 11 px, and
+    # differences as shares of the inverse depth of a match. Chosen on every second keyframe of
+    # TartanAir.
+    contour_distance: int = 10  # of the contour behind a fattened match
+    surface_distance: int = 24  # at which the depth of both surfaces is compared
+    contour_contrast: float = 3.0  # contrast of the contour over that of the edges ahead
+    contour_noise: float = 3.0  # standard deviations of the noise that this difference exceeds
+    min_surface_step: float = 0.07  # from the match to the farther surface
+    max_contour_difference: float = 0.04  # from the match to the nearer surface
     # window_depth
     # largest number of cells of a keyframe; frames of 4:3 get 160×120, 320×240 and 640×480
     max_cells: tuple[int, int, int] = (2**15, 2**17, 2**19)

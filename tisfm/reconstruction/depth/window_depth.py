@@ -24,6 +24,7 @@ from tisfm.kernels.rigid.epipolar import displacement
 from tisfm.kernels.rigid.shared_depth import add_depth_terms, depth_constraint
 from tisfm.motion.problems import depth_problem
 from tisfm.motion.textureless_depth import SECOND_ORDER, texture_weight
+from tisfm.reconstruction.depth.fattened_matches import remove_fattened
 from tisfm.reconstruction.depth.match_deviation import match_weights
 from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.depth.window_planes import (
@@ -100,6 +101,7 @@ def window_depth(
     )
     planes = window_planes(window)
     anchors = match_weights(window, planes)
+    anchors = remove_fattened(window, anchors, second_order(window.level))
     planes = replace(planes, is_reliable=anchors[0] > 0)
     if planes.is_reliable.sum() < max(1, DEPTH.min_matched_share * window.used_cells.sum()):
         return None
