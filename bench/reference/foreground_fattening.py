@@ -27,9 +27,10 @@ def find_fattened(
         length = np.hypot(*step)
         near = int(contour_distance / length + 0.5)
         far = int(surface_distance / length + 0.5)
-        ahead = [_shifted(inverse_depth, step, k) for k in (far // 2, far, far + far // 2)]
+        first, second = (_shifted(inverse_depth, step, k) for k in (far, far + far // 2))
+        ahead = first + (first - second) * (far / (far // 2))  # the plane at the cell
         behind = [_shifted(inverse_depth, step, -k) for k in (2, near, far)]
-        is_between = (np.min(ahead, axis=0) < matches * (1 - min_step)) & (
+        is_between = (np.maximum(ahead, first) < matches * (1 - min_step)) & (
             np.max(behind, axis=0) > matches * (1 - max_difference)
         )
         contour = _strongest_edge(frame, step, range(0, -near - 2, -1))

@@ -6,7 +6,7 @@ of the nearer one. An occluding contour belongs to the nearer surface: a match i
 one of eight directions,
 
 - a contour lies a few cells behind the cell, and is stronger than every edge ahead of it;
-- ahead of it, depth is farther than the match;
+- the plane of the depth ahead of it is farther than the match;
 - behind the contour, depth is about that of the match.
 """
 
@@ -27,7 +27,9 @@ def find_fattened(
     out: np.ndarray,  # (h, w) int32: 1 for a fattened match, otherwise 0
     *,
     contour_distance: int,  # cells: largest distance of the contour
-    surface_distance: int,  # cells: distance at which depth is compared, and of edges ahead
+    # cells: distance of the depth behind, and of the edges ahead; depth ahead is taken at this
+    # distance and at 1.5 times it; at least 2
+    surface_distance: int,
     contrast: float,  # contrast of the contour divided by that of the strongest edge ahead
     min_contrast: float,  # grey levels: smallest difference of the two contrasts, scaled as above
     # differences of inverse depth, as shares of the match: least from the farther surface, and
@@ -89,19 +91,20 @@ def _is_before_surface(
     inverse_depth: ti.template(), y, x, dy, dx, near_steps, far_steps, match, min_step,
     max_difference,
 ):  # fmt: skip
-    """Return whether depth is farther than a match ahead, and about the same behind."""
-    half = far_steps // 2
-    ahead = ti.min(
-        _at(inverse_depth, y + half * dy, x + half * dx),
-        _at(inverse_depth, y + far_steps * dy, x + far_steps * dx),
-        _at(inverse_depth, y + (far_steps + half) * dy, x + (far_steps + half) * dx),
-    )
+    """Return whether the surface ahead is farther than a match, and depth behind about the same."""
+    # The plane through two points ahead, continued to the cell: a slanted surface is no step.
+    beyond = far_steps + far_steps // 2
+    first = _at(inverse_depth, y + far_steps * dy, x + far_steps * dx)
+    second = _at(inverse_depth, y + beyond * dy, x + beyond * dx)
+    ahead = first + (first - second) * (ti.cast(far_steps, ti.f32) / (far_steps // 2))
     behind = ti.max(
         _at(inverse_depth, y - 2 * dy, x - 2 * dx),
         _at(inverse_depth, y - near_steps * dy, x - near_steps * dx),
         _at(inverse_depth, y - far_steps * dy, x - far_steps * dx),
     )
-    return ahead < match * (1.0 - min_step) and behind > match * (1.0 - max_difference)
+    return ti.max(ahead, first) < match * (1.0 - min_step) and behind > match * (
+        1.0 - max_difference
+    )
 
 
 @ti.func

@@ -58,6 +58,12 @@ def test_the_fattened_strip_is_found_on_its_side_alone(turn):
     np.testing.assert_array_equal(found(frame, depth, matches), is_strip)
 
 
+def test_a_slanted_surface_keeps_its_matches():
+    frame, _, _ = outline()
+    depth = 0.6 - 0.005 * np.arange(60) + np.zeros((24, 1))  # 20 % beyond the edge, linearly
+    assert not found(frame, depth, depth).any()
+
+
 def test_texture_of_one_surface_keeps_its_matches():
     frame, _, matches = outline()
     assert not found(frame, np.full_like(frame, NEAR), np.where(matches > 0, NEAR, 0)).any()

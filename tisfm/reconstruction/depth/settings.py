@@ -43,7 +43,7 @@ class DepthSettings:
     # differences as shares of the inverse depth of a match. Chosen on every second keyframe of
     # TartanAir.
     contour_distance: int = 10  # of the contour behind a fattened match
-    surface_distance: int = 24  # at which the depth of both surfaces is compared
+    surface_distance: int = 24  # at which the depth of both surfaces is taken
     contour_contrast: float = 3.0  # contrast of the contour over that of the edges ahead
     contour_noise: float = 3.0  # standard deviations of the noise that this difference exceeds
     min_surface_step: float = 0.07  # from the match to the farther surface
@@ -64,6 +64,9 @@ class DepthSettings:
     image_edges: float = 10.0  # weight of image edges in the smoothness
     # grey variance divided by the variance of the noise, where the data term has half the weight
     data_texture: float = 1000.0
+    # half-quadratic iterations that propagate matches. With fewer, depth is smooth across outlines;
+    # more of them sharpen little. Chosen on every second keyframe of TartanAir and HoloLens.
+    propagation_iterations: int = 8
     warps: int = 3
     iterations: int = 1  # iterations of each warp
     max_depth_factor: float = 2.0  # largest propagated depth divided by the largest matched depth

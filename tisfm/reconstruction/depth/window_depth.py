@@ -154,7 +154,9 @@ class _DepthRefinement:
         level = window.level
         frame, camera = window.at_cell_level(0), window.camera_of(level)
         smoothness = second_order(level)
-        depth, slopes = extend_depth(anchors[1], anchors[0], frame, smoothness, iterations=1)
+        depth, slopes = extend_depth(
+            anchors[1], anchors[0], frame, smoothness, iterations=DEPTH.propagation_iterations
+        )
         self._grid = grid = runtime.lane_grid(*frame.shape)
         unknowns = Unknowns(grid, camera, 1)
         texture = texture_weight(frame, half_variance=DEPTH.data_texture) * window.used_cells
