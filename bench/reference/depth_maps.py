@@ -8,7 +8,12 @@ from tisfm.camera import Camera
 Array = np.ndarray  # of float64
 
 MAX_RELATIVE_STEP = 0.05  # relative difference of inverse depth between pixels of one surface
+MIN_SURFACE_WEIGHT = 1e-3  # least weight of the four pixels around a position
+MAX_STRETCH = 256  # px: the largest extent of a triangle that is drawn
+MIN_AREA = 1e-6  # px²: twice the area of the smallest triangle that is drawn
 MIN_RELATIVE_DEVIATION = 1e-3  # share of inverse depth; smaller deviations count as this
+MIN_LIKENESS = 0.05  # least factor of a vote whose grey levels differ
+MIN_BORDER_SHARE = 0.05  # least factor of a mean at the border of a keyframe
 RADIUS = 3  # px: half side of the window whose pixels vote
 DISTANCE_WEIGHT = 0.1  # 1/px²: a pixel at a distance d has the weight 1/(1 + 0.1 d²)
 
@@ -19,6 +24,7 @@ def render_depth(
     rotation: Array,  # (3, 3), from the first view's axes to the other's
     translation: Array,  # (3,)
     camera: Camera,  # of both views
+    continued_deviation: float = 0.0,  # share of inverse depth; 0: surfaces end at jumps
 ) -> tuple[Array, Array]:
     """Return the inverse depth of another view, and its deviation; 0 if unknown."""
     height, width = inverse_depth.shape
@@ -26,37 +32,67 @@ def render_depth(
     ray = rays(camera, height, width)
     target = np.einsum("kl,lhw->khw", rotation, ray)
     target += inverse_depth * translation[:, None, None]
-    nearest, central = np.zeros((2, height, width))
-    for y, x in zip(*np.nonzero((inverse_depth > 0) & (target[2] > 0)), strict=True):
-        projected = inverse_depth[y, x] / target[2, y, x]
-        column, row = (target[:2, y, x] / target[2, y, x]) * camera.focal + (cx, cy)
-        around = [(np.floor(row) + j, np.floor(column) + i) for j in (0, 1) for i in (0, 1)]
-        nearest_pixel = np.floor(row + 0.5), np.floor(column + 0.5)
-        for image, positions in ((nearest, around), (central, [nearest_pixel])):
-            for down, right in positions:
-                if 0 <= down < height and 0 <= right < width:
-                    pixel = int(down), int(right)
-                    image[pixel] = max(image[pixel], projected)
-    out, spread = np.zeros((2, height, width))
-    for y, x in np.ndindex(height, width):
-        for start, min_weight in ((nearest[y, x], 0.5), (central[y, x], 1e-3)):
-            depth, deviation_of_depth = start, 0.0
-            for _ in range(2):
-                if depth > 0:
-                    depth, deviation_of_depth = _sample(
-                        inverse_depth,
-                        deviation,
-                        ray[:, y, x],
-                        depth,
-                        rotation,
-                        translation,
-                        camera,
-                        min_weight,
-                    )
-            if depth > 0:
-                out[y, x], spread[y, x] = depth, deviation_of_depth
-                break
+    is_ahead = (inverse_depth > 0) & (target[2] > 0)
+    z = np.where(is_ahead, target[2], 1)
+    x, y = target[0] / z * camera.focal + cx, target[1] / z * camera.focal + cy
+    points = np.stack([x, y, np.where(is_ahead, inverse_depth / z, 0)])
+    nearest, continued = np.zeros((2, height, width))
+    for row, column in zip(*np.nonzero(is_ahead), strict=True):
+        x, y, value = points[:, row, column]
+        down, right = int(np.floor(y + 0.5)), int(np.floor(x + 0.5))
+        if 0 <= down < height and 0 <= right < width:
+            nearest[down, right] = max(nearest[down, right], value)
+    for row, column in np.ndindex(height - 1, width - 1):
+        square = np.s_[row : row + 2, column : column + 2]
+        corners = points[:, row : row + 2, column : column + 2].copy()
+        if not is_ahead[square].all():
+            continue
+        is_surface = _is_surface(inverse_depth[square])
+        if not is_surface:
+            corners[2] = corners[2].min()
+        if is_surface or continued_deviation > 0:
+            image = nearest if is_surface else continued
+            _draw_triangle(image, corners[:, 0, 0], corners[:, 0, 1], corners[:, 1, 1])
+            _draw_triangle(image, corners[:, 0, 0], corners[:, 1, 1], corners[:, 1, 0])
+    out, spread = continued, continued_deviation * continued
+    motion = rotation, translation
+    for row, column in zip(*np.nonzero(nearest), strict=True):
+        depth, its_deviation = _sample(
+            inverse_depth, deviation, ray[:, row, column], nearest[row, column], *motion, camera
+        )
+        if depth > 0:
+            out[row, column], spread[row, column] = depth, its_deviation
     return out, spread
+
+
+def _is_surface(square: Array) -> bool:
+    """Return whether neighbours among the four pixels of a square show one surface."""
+    limit = MAX_RELATIVE_STEP
+    return all(
+        abs(first - second) < limit * max(first, second)
+        for first, second in zip(
+            (square[0, 0], square[1, 0], square[0, 0], square[0, 1]),
+            (square[0, 1], square[1, 1], square[1, 0], square[1, 1]),
+            strict=True,
+        )
+    )
+
+
+def _draw_triangle(image: Array, *corners: Array) -> None:
+    """Keep the largest inverse depth at the pixels in a triangle; corners are x, y and value."""
+    (x0, y0, _), (x1, y1, _), (x2, y2, _) = corners
+    extent = max(np.ptp([x0, x1, x2]), np.ptp([y0, y1, y2]))
+    area = (x1 - x0) * (y2 - y0) - (y1 - y0) * (x2 - x0)
+    if abs(area) <= MIN_AREA or extent >= MAX_STRETCH:
+        return
+    matrix = np.vstack([np.array(corners)[:, :2].T, np.ones(3)])
+    for row in range(max(0, int(min(y0, y1, y2))), min(image.shape[0], int(max(y0, y1, y2)) + 2)):
+        left, right = max(0, int(min(x0, x1, x2))), int(max(x0, x1, x2)) + 2
+        for column in range(left, min(image.shape[1], right)):
+            shares = np.linalg.solve(matrix, (column, row, 1.0))
+            if shares.min() >= -1e-9:
+                value = shares @ [corner[2] for corner in corners]
+                image[row, column] = max(image[row, column], value)
 
 
 def _sample(
@@ -67,7 +103,6 @@ def _sample(
     rotation: Array,
     translation: Array,
     camera: Camera,
-    min_weight: float,
 ) -> tuple[float, float]:
     """Return inverse depth and deviation on a ray of the other view, near `value`.
 
@@ -93,7 +128,7 @@ def _sample(
                 total += weight
                 depth += weight * pixel_depth
                 spread += weight * deviation[down, right]
-    if total <= min_weight:
+    if total <= MIN_SURFACE_WEIGHT:
         return 0.0, 0.0
     depth, spread = depth / total, spread / total
     first = np.append((np.array([column, row]) - centre) / camera.focal, 1.0)
@@ -104,27 +139,113 @@ def _sample(
     return depth / target_depth, spread * abs(rotated_depth) / target_depth**2
 
 
-def merge_depths(inverse_depths: Array, deviations: Array, tolerance: float) -> tuple[Array, Array]:
-    """Return the means of inverse depth and deviation over the sources that agree most at a pixel.
+def merge_depths(
+    inverse_depths: Array,  # (N, H, W): candidates of N keyframes in the frame; 0 is unknown
+    deviations: Array,
+    frame: Array,  # (H, W): grey levels
+    key_depths: Array,  # (N, H, W): the keyframes themselves
+    key_deviations: Array,
+    key_frames: Array,
+    motions: Array,  # (N, 3, 4), from the frame to each keyframe
+    camera: Camera,
+    *,
+    tolerance: float,
+    grey_decay: float,
+    border: float,
+) -> tuple[Array, Array]:
+    """Return the means of inverse depth and deviation over the candidates of one surface.
 
-    The arrays are (N, H, W), for N sources; inverse depth 0 is unknown. Two sources agree if they
-    differ by less than the share `tolerance` of the larger inverse depth.
+    Two candidates agree if they differ by less than the share `tolerance` of the larger one. The
+    surface is the nearest candidate with more votes for it than against it, or else the candidate
+    with most votes.
     """
-    known = inverse_depths > 0
-    floor = np.where(known, MIN_RELATIVE_DEVIATION * inverse_depths, 1)
-    votes = np.where(known, inverse_depths / np.maximum(deviations, floor), 0) ** 2
-    difference = np.abs(inverse_depths[:, None] - inverse_depths)
-    agree = difference < tolerance * np.maximum(inverse_depths[:, None], inverse_depths)
-    votes_for_source = votes * (
-        agree & known & known[:, None]
-    )  # (N, N, H, W): vote of source j for source i
-    best = votes_for_source.sum(axis=1).argmax(axis=0)
-    best_votes = np.take_along_axis(votes_for_source, best[None, None], axis=0)[0]
-    total = np.maximum(best_votes.sum(axis=0), np.finfo(float).tiny)
-    depth, deviation = (
-        (best_votes * values).sum(axis=0) / total for values in (inverse_depths, deviations)
+    count, height, width = inverse_depths.shape
+    out, spread = np.zeros((2, height, width))
+    ray = rays(camera, height, width)
+    for y, x in np.ndindex(height, width):
+        candidates = inverse_depths[:, y, x]
+        known = np.flatnonzero(candidates > 0)
+        if not len(known):
+            continue
+        weights, shares, votes = np.zeros((3, count))
+        for k in known:
+            position = _project(motions[k], ray[:, y, x], candidates[k], camera, frame.shape)
+            likeness, shares[k] = _likeness(
+                key_frames[k], position, frame[y, x], grey_decay, border
+            )
+            weights[k] = _precision(candidates[k], deviations[k, y, x]) * likeness
+        difference = np.abs(candidates[:, None] - candidates)
+        agree = difference < tolerance * np.maximum(candidates[:, None], candidates)
+        agree &= (candidates > 0) & (candidates[:, None] > 0)
+        for k in known:
+            votes[k] = weights[agree[k]].sum()
+            for other in np.flatnonzero(~agree[k]):
+                position = _project(
+                    motions[other], ray[:, y, x], candidates[k], camera, frame.shape
+                )
+                against = _free_space(key_depths[other], key_deviations[other], position, tolerance)
+                is_behind = 0 < candidates[other] < candidates[k]
+                votes[k] -= min(against, weights[other]) if is_behind else against
+        best = known[0]
+        for k in known[1:]:
+            is_better = votes[k] > votes[best]
+            if not agree[k, best] and votes[k] > 0 and votes[best] > 0:
+                is_better = candidates[k] > candidates[best]
+            best = k if is_better else best
+        chosen = weights * shares * agree[best]
+        out[y, x] = (chosen * candidates).sum() / chosen.sum()
+        spread[y, x] = (chosen * deviations[:, y, x]).sum() / chosen.sum()
+    return out, spread
+
+
+def _project(
+    motion: Array, ray: Array, depth: float, camera: Camera, shape: tuple[int, int]
+) -> tuple[float, float, float]:
+    """Return x, y and inverse depth of a point in a keyframe; far outside if it is behind it."""
+    point = motion[:, :3] @ ray + depth * motion[:, 3]
+    if point[2] <= 0:
+        return -1e6, -1e6, 0.0
+    x, y = point[:2] / point[2] * camera.focal + camera.center_for(*shape)
+    return x, y, depth / point[2]
+
+
+def _precision(depth: float, deviation: float) -> float:
+    return float((depth / max(deviation, MIN_RELATIVE_DEVIATION * depth)) ** 2)
+
+
+def _likeness(
+    image: Array, position: tuple[float, float, float], grey: float, decay: float, border: float
+) -> tuple[float, float]:
+    """Return the likeness of grey levels, and the factor of a mean near the border."""
+    height, width = image.shape
+    x, y = np.clip(position[0], 0, width - 1), np.clip(position[1], 0, height - 1)
+    left, top = int(x), int(y)
+    right, bottom = min(left + 1, width - 1), min(top + 1, height - 1)
+    upper = (1 - x + left) * image[top, left] + (x - left) * image[top, right]
+    lower = (1 - x + left) * image[bottom, left] + (x - left) * image[bottom, right]
+    shown = (1 - y + top) * upper + (y - top) * lower
+    distance = min(x, y, width - 1 - x, height - 1 - y)
+    return (
+        max(np.exp(-abs(shown - grey) / decay), MIN_LIKENESS),
+        min(max(distance / border, MIN_BORDER_SHARE), 1.0),
     )
-    return depth, deviation
+
+
+def _free_space(
+    depth: Array, deviation: Array, position: tuple[float, float, float], tolerance: float
+) -> float:
+    """Return the weight of a keyframe that looks through a point; else 0."""
+    x, y, point_depth = position
+    height, width = depth.shape
+    if not (-0.5 < x < width - 0.5 and -0.5 < y < height - 0.5):
+        return 0.0
+    column, row = int(np.floor(x)), int(np.floor(y))
+    square = np.s_[max(row, 0) : row + 2, max(column, 0) : column + 2]
+    index = np.argmax(depth[square])
+    surface = depth[square].flat[index]
+    if not 0 < surface < (1 - tolerance) * point_depth:
+        return 0.0
+    return _precision(surface, deviation[square].flat[index])
 
 
 def align_depth_edges(

@@ -10,7 +10,7 @@ def moved(inverse_depth, deviation, middle, frame, similar=10.0):
     from tisfm import runtime
 
     runtime.start()
-    from tisfm.kernels.rigid.depth_maps import align_depth_edges
+    from tisfm.kernels.rigid.depth_edges import align_depth_edges
 
     out, spread = (np.full(inverse_depth.shape, 7, np.float32) for _ in range(2))
     align_depth_edges(inverse_depth, deviation, middle, frame, out, spread, grey_decay=similar)

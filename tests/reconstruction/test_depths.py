@@ -12,17 +12,41 @@ from tisfm.reconstruction.depth import segment_depth as depths
 from tisfm.reconstruction.depth.segment_depth import depth_effort
 from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.depth.view_fusion import (
+    Keyframe,
+    Projection,
+    View,
     add_difference_to_deviation,
     align_edges,
     fill_holes,
     fuse_views,
     relative_difference,
+    render_view,
     upsample,
 )
 from tisfm.rigid import pose_matrix
 
 FAST = Settings.preset("fast", motion="camera")
 SHAPE = (60, 80)
+
+
+PROJECTION = Projection(focal=80.0, center=(39.5, 29.5))
+STAY = np.eye(4)[:3]
+
+
+def keyframe(inverse_depth, deviation, motion=STAY, grey=100.0):
+    """Return a keyframe, in which unknown depth, NaN, is 0."""
+    return Keyframe(
+        inverse_depth=np.nan_to_num(inverse_depth),
+        deviation=np.nan_to_num(deviation),
+        grey=np.full(SHAPE, grey, np.float32),
+        motion=motion,
+    )
+
+
+def view(inverse_depth, deviation):
+    """Return a view of a keyframe from its own place."""
+    own = keyframe(inverse_depth, deviation)
+    return View(inverse_depth=inverse_depth, deviation=deviation, keyframe=own)
 
 
 def flat(value=0.5):
@@ -69,24 +93,62 @@ def test_pixels_without_depth_are_not_compared():
 
 
 def test_deviation_grows_with_the_difference_from_other_views():
-    views = [(flat(0.5), flat(0.01)), (flat(0.5), flat(0.02)), (flat(0.4), flat(0.01))]
+    values = [(0.5, 0.01), (0.5, 0.02), (0.4, 0.01)]
+    views = [view(flat(depth), flat(deviation)) for depth, deviation in values]
     first, second, third = add_difference_to_deviation(views, 2.0)
-    np.testing.assert_array_equal(first[0], 0.5)
-    np.testing.assert_allclose(first[1], np.hypot(0.01, 2 * 0.1 * 0.5), rtol=1e-5)
-    np.testing.assert_allclose(second[1], np.hypot(0.02, 2 * 0.1 * 0.5), rtol=1e-5)
-    np.testing.assert_allclose(third[1], np.hypot(0.01, 2 * 0.25 * 0.4), rtol=1e-5)
+    np.testing.assert_array_equal(first.inverse_depth, 0.5)
+    np.testing.assert_allclose(first.deviation, np.hypot(0.01, 2 * 0.1 * 0.5), rtol=1e-5)
+    np.testing.assert_allclose(second.deviation, np.hypot(0.02, 2 * 0.1 * 0.5), rtol=1e-5)
+    np.testing.assert_allclose(third.deviation, np.hypot(0.01, 2 * 0.25 * 0.4), rtol=1e-5)
 
 
 def test_fused_depth_is_that_of_the_majority():
     one, other = flat(0.5), flat(0.52)
     wrong = flat(0.9)
     one[:, :20] = other[:, :20] = wrong[:, :10] = np.nan
-    depth, deviation = fuse_views([(each, 0.1 * each) for each in (wrong, one, other)])
+    views = [view(each, 0.1 * each) for each in (wrong, one, other)]
+    depth, deviation = fuse_views(views, flat(100), PROJECTION)
     assert np.isnan(depth[:, :10]).all() and np.isnan(deviation[:, :10]).all()
     np.testing.assert_allclose(depth[:, 10:20], 0.9, rtol=1e-6)
     np.testing.assert_allclose(depth[:, 20:], 0.51, rtol=1e-5)
     # The mean has no smaller deviation than its views.
     np.testing.assert_allclose(deviation[:, 20:], 0.051, rtol=1e-5)
+
+
+@pytest.mark.parametrize("near_share", [0.1, 0.02])
+def test_a_keyframe_that_does_not_see_the_near_surface_does_not_outvote_it(near_share):
+    """A keyframe to the right sees only the wall; the thing is left of its image."""
+    thing, wall = flat(0.2), flat(0.2)
+    thing[:, :10] = 1.0
+    aside = np.column_stack([np.eye(3), (0.5, 0, 0)])  # the wall moves by 8 px, the thing by 40 px
+    sure = render_view(keyframe(wall, 0.01 * wall, aside), PROJECTION)
+    unsure = view(thing, near_share * thing)
+    depth, _ = fuse_views([unsure, sure], flat(100), PROJECTION)
+    np.testing.assert_allclose(depth[:, :10], 1.0, rtol=1e-5)
+    np.testing.assert_allclose(depth[:, 12:], 0.2, rtol=1e-4)
+
+
+def test_a_keyframe_that_looks_through_a_surface_removes_it():
+    wrong, wall = flat(0.2), flat(0.2)
+    wrong[20:40, 30:50] = 1.0
+    views = [view(wrong, 0.1 * wrong), view(wall, 0.01 * wall)]
+    depth, _ = fuse_views(views, flat(100), PROJECTION)
+    np.testing.assert_allclose(depth, 0.2, rtol=1e-5)
+
+
+@pytest.mark.parametrize("continued", [False, True])
+def test_the_background_is_continued_behind_a_thing(continued):
+    depth = flat(0.2)
+    depth[:, :30] = 1.0
+    aside = np.column_stack([np.eye(3), (-0.2, 0, 0)])  # the thing moves by 16 px, the wall by 3 px
+    shown = render_view(keyframe(depth, 0.1 * depth, aside), PROJECTION, continued=continued)
+    gap = np.s_[1:-1, 15:25]
+    np.testing.assert_allclose(shown.inverse_depth[1:-1, :14], 1.0, rtol=1e-4)
+    if continued:
+        np.testing.assert_allclose(shown.inverse_depth[gap], 0.2, rtol=1e-4)
+        np.testing.assert_allclose(shown.deviation[gap], 0.2 * DEPTH.filled_deviation, rtol=1e-4)
+    else:
+        assert np.isnan(shown.inverse_depth[gap]).all()
 
 
 def slanted():
@@ -216,5 +278,25 @@ def test_fusion_of_keyframes_reduces_the_error(monkeypatch):
         return np.mean([depth_error(found.depth(k), film.depth[k]) for k in found.keyframes])
 
     both = error()
-    monkeypatch.setattr(depths, "fuse_views", lambda views: views[0])
+    monkeypatch.setattr(
+        depths, "fuse_views", lambda views, *_: (views[0].inverse_depth, views[0].deviation)
+    )
     assert both < 0.96 * error()
+
+
+def test_a_first_frame_whose_tracks_have_no_points_has_depth(monkeypatch):
+    """Its neighbours are chosen with the median depth of the tracks of the next keyframe."""
+    film = walk()
+    track_depths = depths.track_depths
+
+    def without_first(observations, points, pose):
+        is_first = np.array_equal(pose, film.poses[0])
+        found = track_depths(observations, points, pose)
+        return tuple(values[:0] for values in found) if is_first else found
+
+    monkeypatch.setattr(depths, "track_depths", without_first)
+    found = tisfm.reconstruct(
+        film.frames, camera=film.camera, settings=FAST, poses=film.poses, depth_of="keyframes"
+    )
+    assert found.keyframes[0] == 0
+    assert depth_error(found.depth(0), film.depth[0]) < 0.1

@@ -26,7 +26,14 @@ def test_every_kernel_has_its_traffic():
 
 # Not timed: no reference improves or carries displacements of all pixels at once, those of fusion,
 # rendering, merging and edges go point by point.
-AS_A_WHOLE = {"rigid.flow_search", "rigid.depth_maps", "fusion.agreement", "fusion.distance_field"}
+AS_A_WHOLE = {
+    "rigid.flow_search",
+    "rigid.depth_maps",
+    "rigid.depth_votes",
+    "rigid.depth_edges",
+    "fusion.agreement",
+    "fusion.distance_field",
+}
 PARTS = {("data.image_edges", "scale"), ("solve.line_search", "subtract")}
 
 

@@ -9,16 +9,18 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.kernels.rigid.depth_maps import render_depth
 from tisfm.reconstruction.depth.neighbour_frames import choose_neighbours
 from tisfm.reconstruction.depth.pose_adjustment import KeyframeWindow, make_keyframe_window
 from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.depth.view_fusion import (
+    Keyframe,
+    Projection,
     View,
     add_difference_to_deviation,
     align_edges,
     fill_holes,
     fuse_views,
+    render_view,
     upsample,
 )
 from tisfm.reconstruction.depth.window_depth import Effort, WindowDepth, by_effort, window_depth
@@ -120,14 +122,16 @@ class PieceDepths:
         that a single window does not show.
         """
         depth, shape, stride = self._window_depths[key], self._frames.shape, DEPTH.comparison_stride
-        views = [(depth.inverse_depth[::stride, ::stride], depth.deviation[::stride, ::stride])]
+        own = self._keyframe(depth, key, key, stride)
+        views = [View(inverse_depth=own.inverse_depth, deviation=own.deviation, keyframe=own)]
         for other, other_depth in self._window_depths.items():
             if other != key:
-                views.append(self._render_keyframe(other_depth, other, key, stride))
+                keyframe = self._keyframe(other_depth, other, key, stride)
+                views.append(render_view(keyframe, self._projection(stride)))
         compared_views = add_difference_to_deviation(views, DEPTH.deviation_per_difference)
-        mean, deviation = fuse_views(compared_views)
+        mean, deviation = fuse_views(compared_views, own.grey, self._projection(stride))
         # The keyframe has depth at every pixel, so only the relative correction is upsampled.
-        inverse_depth = depth.inverse_depth * upsample(mean / views[0][0], stride, shape)
+        inverse_depth = depth.inverse_depth * upsample(mean / own.inverse_depth, stride, shape)
         deviation = upsample(deviation, stride, shape)
         return replace(depth, inverse_depth=inverse_depth, deviation=deviation)
 
@@ -166,17 +170,10 @@ class PieceDepths:
         return FrameDepth(frame=frame, inverse_depth=inverse_depth, deviation=deviation)
 
     def _keyframe_depth(self, key: int, previous: int | None, effort: Effort) -> WindowDepth | None:
-        """Return the depth of a keyframe from neighbour frames; None without neighbours or matches.
-
-        A rough depth for the choice of neighbours comes from tracks, or else from the keyframe
-        before.
-        """
+        """Return the depth of a keyframe from neighbours; None without neighbours or matches."""
         poses = self._piece.poses
-        points, depths = track_depths(self._observations[key], self._piece.points, poses[key])
-        rough_depth = _nearest_track_depth(points, depths, self._frames.shape)
-        if rough_depth is None and previous is not None:
-            rough_depth = self._render_keyframe(self._window_depths[previous], previous, key, 1)[0]
-        if rough_depth is None or not np.isfinite(rough_depth).any():
+        rough_depth = self._rough_depth(key, previous)
+        if rough_depth is None:
             return None
         nearby = [f for f in poses if abs(f - key) <= DEPTH.max_frame_distance]
         neighbours = choose_neighbours(
@@ -204,33 +201,59 @@ class PieceDepths:
             uncropped_shape=self._uncropped_shape,
         )
 
-    def _render_keyframe(self, source: WindowDepth, key: int, frame: int, stride: int) -> View:
-        """Return the depth of a keyframe, rendered into a frame, and its deviation; NaN in holes.
+    def _rough_depth(self, key: int, previous: int | None) -> np.ndarray | float | None:
+        """Return a rough inverse depth of a keyframe, for the choice of neighbours.
 
-        The results contain every `stride`-th row and column, from 0.
+        It comes from tracks, or else from the keyframe before, or else it is the median of the
+        tracks of the next keyframe that has tracks with points.
         """
-        poses = self._piece.poses
-        motion = (np.linalg.inv(poses[frame]) @ poses[key])[:3]
-        depth, std = (
-            np.ascontiguousarray(np.nan_to_num(image[::stride, ::stride], posinf=0.0))
-            for image in (source.inverse_depth, source.deviation)
-        )
-        inverse_depth, deviation = (np.empty(depth.shape, np.float32) for _ in range(2))
-        cx, cy = self._camera.center_for(*self._frames.shape)
-        center, focal = (cx / stride, cy / stride), self._camera.focal / stride
-        render_depth(depth, std, motion, inverse_depth, deviation, center=center, focal=focal)
-        is_visible = inverse_depth > 0
-        return np.where(is_visible, inverse_depth, np.nan), np.where(is_visible, deviation, np.nan)
-
-    def _render_depth(self, frame: int) -> View:
-        """Return the depth of a frame, rendered from the keyframes, and its deviation."""
-        stride = by_effort(DEPTH.render_stride, self._effort)
-        depths = self.final_depths.items()
-        views = [self._render_keyframe(depth, key, frame, stride) for key, depth in depths]
-        inverse_depth, deviation = fuse_views(views)
-        grey = np.ascontiguousarray(self._frames.grey(frame)[::stride, ::stride])
-        depth, std = align_edges(*fill_holes(inverse_depth, deviation, grey), grey)
         shape = self._frames.shape
+        rough_depth = _nearest_track_depth(*self._track_depths(key), shape)
+        if rough_depth is not None:
+            return rough_depth
+        if previous is not None:
+            keyframe = self._keyframe(self._window_depths[previous], previous, key, 1)
+            rendered = render_view(keyframe, self._projection(1)).inverse_depth
+            return rendered if np.isfinite(rendered).any() else None
+        for later in self.keyframes:
+            _, depths = self._track_depths(later)
+            if later > key and len(depths):
+                return 1 / float(np.median(depths))
+        return None
+
+    def _track_depths(self, key: int) -> tuple[np.ndarray, np.ndarray]:
+        return track_depths(self._observations[key], self._piece.points, self._piece.poses[key])
+
+    def _keyframe(self, source: WindowDepth, key: int, frame: int, stride: int) -> Keyframe:
+        """Return a keyframe as a frame sees it: every `stride`-th row and column, from 0."""
+        poses = self._piece.poses
+        depth, deviation, grey = (
+            np.ascontiguousarray(image[::stride, ::stride])
+            for image in (source.inverse_depth, source.deviation, self._frames.grey(key))
+        )
+        return Keyframe(
+            inverse_depth=np.nan_to_num(depth, posinf=0.0),
+            deviation=np.nan_to_num(deviation, posinf=0.0),
+            grey=grey,
+            motion=(np.linalg.inv(poses[frame]) @ poses[key])[:3],
+        )
+
+    def _projection(self, stride: int) -> Projection:
+        """Return the projection on every `stride`-th row and column, from 0."""
+        cx, cy = self._camera.center_for(*self._frames.shape)
+        return Projection(focal=self._camera.focal / stride, center=(cx / stride, cy / stride))
+
+    def _render_depth(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the depth of a frame, rendered from the keyframes, and its deviation."""
+        stride, shape = by_effort(DEPTH.render_stride, self._effort), self._frames.shape
+        projection = self._projection(stride)
+        views = [
+            render_view(self._keyframe(depth, key, frame, stride), projection, continued=True)
+            for key, depth in self.final_depths.items()
+        ]
+        grey = np.ascontiguousarray(self._frames.grey(frame)[::stride, ::stride])
+        inverse_depth, deviation = fuse_views(views, grey, projection)
+        depth, std = align_edges(*fill_holes(inverse_depth, deviation, grey), grey)
         return upsample(depth, stride, shape), upsample(std, stride, shape)
 
 

@@ -107,6 +107,11 @@ class DepthSettings:
     deviation_per_difference: float = 1.75
     # view_fusion: differences and steps are shares of the inverse depth
     max_difference: float = 0.1  # difference of two rendered surfaces that are one surface
+    # grey levels by which a keyframe differs from the frame, that reduce its vote to 1/e; chosen on
+    # half of the frames of TartanAir and HoloLens
+    vote_grey_scale: float = 40.0
+    # longer sides: border of a keyframe in which its weight in the mean of keyframes decreases
+    view_border: float = 0.01
     max_smooth_step: float = 0.05  # step between neighbour pixels on one surface
     difference_window: float = 0.05  # longer sides: window in which differences are averaged
     difference_limit: float = 0.5  # limit of the difference at a single pixel

@@ -3,18 +3,46 @@
 Inverse depth is (H, W) float32, and NaN where a keyframe has no depth.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from tisfm.kernels.rigid.depth_maps import VOTING_RADIUS, align_depth_edges, merge_depths
+from tisfm.kernels.rigid.depth_edges import VOTING_RADIUS, align_depth_edges
+from tisfm.kernels.rigid.depth_maps import render_depth
+from tisfm.kernels.rigid.depth_votes import merge_depths
 from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.depth.window_depth import min_inverse_depth, second_order
 from tisfm.solver.sampling import enlarge, shrink
 from tisfm.solver.second_order import extend_depth
 
-View = tuple[np.ndarray, np.ndarray]  # inverse depth and its deviation, (H, W) float32 each
+
+@dataclass(frozen=True, kw_only=True)
+class Projection:
+    """Pinhole projection of all views: focal length and principal point, px."""
+
+    focal: float
+    center: tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Keyframe:
+    """A keyframe that another frame sees; images are (H, W) float32."""
+
+    inverse_depth: np.ndarray  # 0 where unknown
+    deviation: np.ndarray  # finite
+    grey: np.ndarray  # grey levels
+    motion: np.ndarray  # (3, 4) float64: R and t from the keyframe to the frame
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """The depth of a keyframe, rendered in a frame; images are (H, W) float32."""
+
+    inverse_depth: np.ndarray  # NaN where the keyframe shows no surface
+    deviation: np.ndarray  # its standard deviation; NaN at the same pixels
+    keyframe: Keyframe
 
 
 def relative_difference(
@@ -40,30 +68,81 @@ def relative_difference(
 
 def add_difference_to_deviation(views: Sequence[View], factor: float) -> list[View]:
     """Return views; `factor` times the difference from other views is added to the deviation."""
-    depths = [depth for depth, _ in views]
+    depths = [view.inverse_depth for view in views]
     new_views = []
-    for number, (depth, deviation) in enumerate(views):
+    for number, view in enumerate(views):
         others = depths[:number] + depths[number + 1 :]
-        difference = np.float32(factor) * relative_difference(depth, others)
-        new_views.append((depth, np.hypot(deviation, difference * depth)))
+        difference = np.float32(factor) * relative_difference(view.inverse_depth, others)
+        deviation = np.hypot(view.deviation, difference * view.inverse_depth)
+        new_views.append(replace(view, deviation=deviation))
     return new_views
 
 
+def render_view(keyframe: Keyframe, projection: Projection, *, continued: bool = False) -> View:
+    """Return the view of a keyframe in a frame.
+
+    With `continued`, the farther surface at a jump goes on where the frame looks behind the nearer
+    surface; it has the deviation of a filled hole.
+    """
+    out, deviation = (np.empty_like(keyframe.inverse_depth) for _ in range(2))
+    render_depth(
+        keyframe.inverse_depth,
+        keyframe.deviation,
+        keyframe.motion,
+        out,
+        deviation,
+        center=projection.center,
+        focal=projection.focal,
+        continued_deviation=DEPTH.filled_deviation if continued else 0.0,
+    )
+    is_visible = out > 0
+    return View(
+        inverse_depth=np.where(is_visible, out, np.float32(np.nan)),
+        deviation=np.where(is_visible, deviation, np.float32(np.nan)),
+        keyframe=keyframe,
+    )
+
+
 def fuse_views(
-    views: Sequence[View],  # NaN where a keyframe has no depth
-) -> View:
-    """Return the mean of the keyframes that agree most, at every pixel.
+    views: Sequence[View],
+    grey: np.ndarray,  # (H, W) float32: grey levels of the frame
+    projection: Projection,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean of the keyframes that agree, on the surface that most votes are for.
 
     Returns inverse depth and deviation, (H, W) float32, NaN without depth. The depths of the
     keyframes come from overlapping sets of images. For this reason the mean does not get a smaller
     deviation than the keyframes.
     """
-    depths, deviations = map(np.stack, zip(*views, strict=True))
-    valid = np.isfinite(depths) & np.isfinite(deviations)
-    depths, deviations = (np.where(valid, values, np.float32(0)) for values in (depths, deviations))
-    fused, fused_deviation = np.empty((2, *depths.shape[1:]), np.float32)
-    merge_depths(depths, deviations, fused, fused_deviation, max_difference=DEPTH.max_difference)
+    valid = [np.isfinite(view.inverse_depth) & np.isfinite(view.deviation) for view in views]
+    fused, fused_deviation = np.empty((2, *grey.shape), np.float32)
+    merge_depths(
+        _stack(np.where(v, view.inverse_depth, 0) for v, view in zip(valid, views, strict=True)),
+        _stack(np.where(v, view.deviation, 0) for v, view in zip(valid, views, strict=True)),
+        grey,
+        _stack(view.keyframe.inverse_depth for view in views),
+        _stack(view.keyframe.deviation for view in views),
+        _stack(view.keyframe.grey for view in views),
+        _stack(_inverse(view.keyframe.motion) for view in views),
+        fused,
+        fused_deviation,
+        center=projection.center,
+        focal=projection.focal,
+        max_difference=DEPTH.max_difference,
+        grey_decay=DEPTH.vote_grey_scale,
+        border=DEPTH.view_border * max(grey.shape),
+    )
     return np.where(fused > 0, fused, np.nan), np.where(fused > 0, fused_deviation, np.nan)
+
+
+def _stack(images: Iterable[np.ndarray]) -> np.ndarray:
+    return np.ascontiguousarray(np.stack(list(images)), np.float32)
+
+
+def _inverse(motion: np.ndarray) -> np.ndarray:
+    """Return the inverse of a motion, (3, 4)."""
+    rotation = motion[:, :3].T
+    return np.column_stack([rotation, -rotation @ motion[:, 3]])
 
 
 def fill_holes(
