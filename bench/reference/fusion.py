@@ -33,9 +33,10 @@ def compare(
     *,
     projection: Floats,
     tolerance: float,
+    max_difference: float,
 ) -> tuple[Floats, Floats]:
-    """Return the contributions of another view to the sums, (H, W, 4), and colours, (H, W, 3)."""
-    sums = np.zeros((*inverse_depth.shape, 4))
+    """Return the contributions of another view to the sums, (H, W, 5), and colours, (H, W, 3)."""
+    sums = np.zeros((*inverse_depth.shape, 5))
     colors = np.zeros((*inverse_depth.shape, 3))
     for (y, x), d in np.ndenumerate(inverse_depth):
         rotated_depth = projection[2, :3] @ (x, y, 1)
@@ -53,13 +54,69 @@ def compare(
         slope = rotated_depth / g**2
         difference = other_depth - d / g
         limit = tolerance * np.hypot(slope * deviation[y, x], other_deviation[pixel])
+        sums[y, x, 4] = 1
         if difference < -limit:
             sums[y, x, 3] = 1
-        elif difference <= limit:
+        elif abs(difference) <= min(limit, max_difference * d / g):
             precision = (slope / other_deviation[pixel]) ** 2
             sums[y, x, :3] = precision, precision * difference / slope, 1
             colors[y, x] = other_colors[pixel]
     return sums, colors
+
+
+def measure_differences(
+    inverse_depth: Floats,
+    deviation: Floats,
+    other_inverse_depth: Floats,
+    other_deviation: Floats,
+    *,
+    projection: Floats,
+) -> Floats:
+    """Return the difference of another view, as a share and in deviations, (H, W, 2); or NaN."""
+    differences = np.full((*inverse_depth.shape, 2), np.nan)
+    for (y, x), d in np.ndenumerate(inverse_depth):
+        rotated_depth = projection[2, :3] @ (x, y, 1)
+        u, v, g = projection @ (x, y, 1, d)
+        if (
+            d <= 0
+            or min(g, rotated_depth) <= MIN_DEPTH_RATIO
+            or not _inside(u / g, v / g, other_inverse_depth)
+        ):
+            continue
+        other_depth = inverse_depth_at(other_inverse_depth, u / g, v / g)
+        if other_depth <= 0:
+            continue
+        own_deviation = rotated_depth / g**2 * deviation[y, x]
+        combined = np.hypot(own_deviation, other_deviation[_nearest(u / g, v / g)])
+        difference = abs(other_depth - d / g)
+        differences[y, x] = difference * g / d, difference / combined
+    return differences
+
+
+def count_views(
+    points: Floats,
+    relative_deviation: Floats,
+    inverse_depth: Floats,
+    deviation: Floats,
+    *,
+    projection: Floats,
+    tolerance: float,
+    min_difference: float,
+) -> np.ndarray:
+    """Return whether a view shows points, and whether it sees through them, (N, 2) int."""
+    counts = np.zeros((len(points), 2), int)
+    for n, point in enumerate(points):
+        u, v, z = projection @ np.append(point, 1)
+        if z <= 0 or not _inside(u / z, v / z, inverse_depth):
+            continue
+        pixel = _nearest(u / z, v / z)
+        if inverse_depth[pixel] <= 0:
+            continue
+        spread = np.hypot(relative_deviation[n] / z, deviation[pixel])
+        limit = max(tolerance * spread, min_difference / z)
+        difference = inverse_depth[pixel] - 1 / z
+        counts[n] = abs(difference) <= limit, difference < -limit
+    return counts
 
 
 def mark_visible_pixels(

@@ -3,7 +3,14 @@
 import numpy as np
 import taichi as ti
 
-from tisfm.kernels.fusion.lookup import check_map, inverse_depth_at, is_inside, nearest_pixel
+from tisfm.kernels.fusion.lookup import (
+    check_map,
+    inverse_depth_at,
+    is_inside,
+    nearest_pixel,
+    project_pixel,
+    project_point,
+)
 from tisfm.kernels.layout.lanes import check_array
 from tisfm.kernels.layout.launch import Kernel
 from tisfm.kernels.model import MIN_DEPTH_RATIO
@@ -18,14 +25,16 @@ def compare(
     other_inverse_depth: np.ndarray,
     other_deviation: np.ndarray,
     other_colors: np.ndarray,  # (H', W', 3) float32
-    # (H, W, 4) float32: modified by addition. First Σ 1/σ'² and Σ δ/σ'² over the other views
+    # (H, W, 5) float32: modified by addition. First Σ 1/σ'² and Σ δ/σ'² over the other views
     # that agree. δ is the inverse depth of the other view, converted to this view, minus d, and σ'
-    # is its deviation. Then the number of views that agree, and the number that see through.
+    # is its deviation. Then the number of views that agree, the number that see through, and the
+    # number that have any depth where the point projects.
     sums: np.ndarray,
     colors: np.ndarray,  # (H, W, 3) float32: modified: the colours of views that agree are added
     *,
     projection: np.ndarray,  # (3, 4) float32: from this view to the other
     tolerance: float,  # deviations
+    max_difference: float,  # share of the inverse depth
 ) -> None:
     """Compare every point of a view with the depth map of another view where the point projects.
 
@@ -37,12 +46,12 @@ def compare(
     check_map(inverse_depth, deviation)
     check_map(other_inverse_depth, other_deviation, "other_")
     check_array(other_colors, (*other_inverse_depth.shape, 3), "other_colors", aligned=False)
-    check_array(sums, (*inverse_depth.shape, 4), "sums", aligned=False)
+    check_array(sums, (*inverse_depth.shape, 5), "sums", aligned=False)
     check_array(colors, (*inverse_depth.shape, 3), "colors", aligned=False)
     check_array(projection, (3, 4), "projection", aligned=False)
     _compare(
         inverse_depth, deviation, other_inverse_depth, other_deviation, other_colors, projection,
-        tolerance, sums, colors,
+        tolerance, max_difference, sums, colors,
     )  # fmt: skip
 
 
@@ -82,7 +91,8 @@ def _compare(
     other_colors: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (H', W', 3)
     projection: ti.types.ndarray(dtype=ti.f32, ndim=2),  # (3, 4)
     tolerance: ti.f32,
-    sums: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (H, W, 4)
+    max_difference: ti.f32,
+    sums: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (H, W, 5)
     colors: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (H, W, 3)
 ):
     for y, x in ti.ndrange(inverse_depth.shape[0], inverse_depth.shape[1]):
@@ -90,8 +100,8 @@ def _compare(
         rotated_z = projection[2, 0] * x + projection[2, 1] * y + projection[2, 2]
         g = rotated_z + d * projection[2, 3]
         if d > 0 and g > MIN_DEPTH_RATIO and rotated_z > MIN_DEPTH_RATIO:
-            u = _project_pixel(projection, 0, x, y, d) / g
-            v = _project_pixel(projection, 1, x, y, d) / g
+            u = project_pixel(projection, 0, x, y, d) / g
+            v = project_pixel(projection, 1, x, y, d) / g
             if is_inside(u, v, other_inverse_depth):
                 other_d = inverse_depth_at(other_inverse_depth, u, v)
                 if other_d > 0:
@@ -101,20 +111,18 @@ def _compare(
                     sigma = slope * deviation[y, x]
                     difference = other_d - d / g
                     limit = tolerance * ti.sqrt(sigma * sigma + other_sigma * other_sigma)
+                    sums[y, x, 4] += 1.0
                     if difference < 0.0 - limit:
                         sums[y, x, 3] += 1.0
-                    elif difference <= limit:
+                    elif ti.max(difference, 0.0 - difference) <= ti.min(
+                        limit, max_difference * d / g
+                    ):
                         weight = slope / (other_sigma * other_sigma)
                         sums[y, x, 0] += slope * weight
                         sums[y, x, 1] += weight * difference
                         sums[y, x, 2] += 1.0
                         for k in ti.static(range(3)):
                             colors[y, x, k] += other_colors[row, column, k]
-
-
-@ti.func
-def _project_pixel(projection: ti.template(), k: ti.template(), x, y, d):
-    return projection[k, 0] * x + projection[k, 1] * y + projection[k, 2] + d * projection[k, 3]
 
 
 @Kernel
@@ -129,10 +137,10 @@ def _mark_pixels_of_points(
 ):
     height, width = inverse_depth.shape[0], inverse_depth.shape[1]
     for n in range(points.shape[0]):
-        z = _project(projection, 2, points, n)
+        z = project_point(projection, 2, points, n)
         if z > 0:
-            u = _project(projection, 0, points, n) / z
-            v = _project(projection, 1, points, n) / z
+            u = project_point(projection, 0, points, n) / z
+            v = project_point(projection, 1, points, n) / z
             if is_inside(u, v, inverse_depth):
                 point_sigma = relative_deviation[n] / z
                 left, top = ti.cast(ti.floor(u), ti.i32), ti.cast(ti.floor(v), ti.i32)
@@ -148,16 +156,6 @@ def _mark_pixels_of_points(
                             and ti.max(difference, 0.0 - difference) <= limit
                         ):
                             mask[row, column] = 1
-
-
-@ti.func
-def _project(projection: ti.template(), k: ti.template(), points: ti.template(), n):
-    return (
-        projection[k, 0] * points[n, 0]
-        + projection[k, 1] * points[n, 1]
-        + projection[k, 2] * points[n, 2]
-        + projection[k, 3]
-    )
 
 
 def add_colors(

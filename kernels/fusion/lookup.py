@@ -1,4 +1,4 @@
-"""Interpolation of depth between the pixels of a map."""
+"""Projection into a depth map, and interpolation between its pixels."""
 
 import numpy as np
 import taichi as ti
@@ -52,3 +52,20 @@ def inverse_depth_at(image: ti.template(), x, y):
             upper = a + dx * (b - a)
             value = upper + dy * (c + dx * (d - c) - upper)
     return value
+
+
+@ti.func
+def project_pixel(projection: ti.template(), k: ti.template(), x, y, d):
+    """Return a row of a (3, 4) matrix times (x, y, 1, inverse depth)."""
+    return projection[k, 0] * x + projection[k, 1] * y + projection[k, 2] + d * projection[k, 3]
+
+
+@ti.func
+def project_point(projection: ti.template(), k: ti.template(), points: ti.template(), n):
+    """Return a row of a (3, 4) matrix times (X, Y, Z, 1) of a point."""
+    return (
+        projection[k, 0] * points[n, 0]
+        + projection[k, 1] * points[n, 1]
+        + projection[k, 2] * points[n, 2]
+        + projection[k, 3]
+    )

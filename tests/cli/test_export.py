@@ -194,6 +194,8 @@ def test_pairs_have_no_path(tisfm_run, work_folder, name):
         ),
         (["--to", "tum", "--screen", "0.5"], ["--screen is only for video-anaglyph and"]),
         (["--to", "ply,tum", "--disparity", "0.1"], ["--disparity is only for", "leave it out"]),
+        (["--to", "tum", "--strict"], ["--strict is only for points and surfaces", "glb"]),
+        (["--to", "ply", "--strict", "--complete"], ["--complete excludes --strict"]),
         (["--to", "tum", "--scale", "0", "0", "1"], ["one camera position"]),
         # What comes last is refused before anything is written.
         (["--to", "tum,masks"], ["--motion objects"]),

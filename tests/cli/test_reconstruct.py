@@ -52,11 +52,11 @@ def fusing(work_folder, monkeypatch):
         except FolderInUseError:
             locked.append(True)
 
-    def points(result):
+    def points(result, **options):
         thread = threading.Thread(target=lock)
         thread.start()
         thread.join()
-        return original(result)
+        return original(result, **options)
 
     monkeypatch.setattr(Reconstruction, "points", points)
     return locked
@@ -139,6 +139,10 @@ def test_scale_and_mask_are_taken(tisfm_run, film):
 def test_nothing_is_fused_without_depth(tisfm_run, film, work_folder):
     code, _, err = tisfm_run("reconstruct", "film", *options(film, *NO_DEPTH, "--ply"))
     assert_one_line(code, err, "estimates no depth, which --ply and --mesh need")
+    code, _, err = tisfm_run("reconstruct", "film", *options(film, "--strict"))
+    assert_one_line(code, err, "--strict is for points and surfaces: give --ply or --mesh too")
+    code, _, err = tisfm_run("reconstruct", "film", *options(film, "--strict", "--complete"))
+    assert_one_line(code, err, "--complete excludes --strict")
     assert not (work_folder / "out").exists()
 
 

@@ -87,23 +87,73 @@ def test_compare(size):
     back = turned[:3, :3] @ np.linalg.inv(intrinsics(size))
     projection = intrinsics(other_size) @ np.column_stack([back, turned[:3, 3]])
     projection = projection.astype(np.float32)
-    before = np.random.default_rng(4).uniform(size=(*size, 7)).astype(np.float32)
-    sums, colors = before[..., :4].copy(), before[..., 4:].copy()
+    before = np.random.default_rng(4).uniform(size=(*size, 8)).astype(np.float32)
+    sums, colors = before[..., :5].copy(), before[..., 5:].copy()
     compare(
         inverse_depth, deviation, other, other_deviation, other_colors, sums, colors,
-        projection=projection, tolerance=3,
+        projection=projection, tolerance=3, max_difference=0.02,
     )  # fmt: skip
     added, added_colors = reference.compare(
         *(a.astype(float) for a in (inverse_depth, deviation, other, other_deviation)),
         other_colors,
         projection=projection.astype(float),
         tolerance=3,
+        max_difference=0.02,
     )
     if size[0] > 5:
+        assert (added[..., 4] > added[..., 2] + added[..., 3]).sum() > 5
         assert (added[..., 2] > 0).sum() > 5 < (added[..., 3] > 0).sum()
     # Differences of depth, near 1, divided by squares of deviations, near 0.01.
-    np.testing.assert_allclose(sums, before[..., :4] + added, rtol=1e-4, atol=2e-2)
-    np.testing.assert_allclose(colors, before[..., 4:] + added_colors, rtol=1e-6)
+    np.testing.assert_allclose(sums, before[..., :5] + added, rtol=1e-4, atol=2e-2)
+    np.testing.assert_allclose(colors, before[..., 5:] + added_colors, rtol=1e-6)
+
+
+@each_size
+def test_measure_differences(size):
+    from tisfm.kernels.fusion.consistency import measure_differences
+
+    inverse_depth, deviation = depth_map(size)
+    other, other_deviation = depth_map(size, seed=1)
+    turned = pose_matrix((0.01, 0.02, 0.02, 0.01, -0.01, 0.02))
+    back = turned[:3, :3] @ np.linalg.inv(intrinsics(size))
+    projection = intrinsics(size) @ np.column_stack([back, turned[:3, 3]])
+    projection = projection.astype(np.float32)
+    found = np.full((*size, 2), np.nan, np.float32)
+    measure_differences(
+        inverse_depth, deviation, other, other_deviation, found, projection=projection
+    )
+    expected = reference.measure_differences(
+        *(a.astype(float) for a in (inverse_depth, deviation, other, other_deviation)),
+        projection=projection.astype(float),
+    )
+    if size[0] > 5:
+        assert np.isfinite(expected[..., 0]).sum() > 20 and np.isnan(expected[..., 0]).sum() > 5
+    # Differences of inverse depths near 1, in float32, divided by deviations near 0.01.
+    np.testing.assert_allclose(found[..., 0], expected[..., 0], atol=3e-6)
+    np.testing.assert_allclose(found[..., 1], expected[..., 1], atol=3e-4)
+
+
+@each_size
+def test_count_views(size):
+    from tisfm.kernels.fusion.consistency import count_views
+
+    inverse_depth, deviation = depth_map(size)
+    points, projection = some_points(size), to_pixels(size)
+    relative_deviation = np.full(len(points), 0.01, np.float32)
+    counts = np.ones((len(points), 2), np.int32)
+    count_views(
+        points, relative_deviation, inverse_depth, deviation, counts,
+        projection=projection, tolerance=3, min_difference=0.06,
+    )  # fmt: skip
+    expected = reference.count_views(
+        *(a.astype(float) for a in (points, relative_deviation, inverse_depth, deviation)),
+        projection=projection.astype(float),
+        tolerance=3,
+        min_difference=0.06,
+    )
+    if size[0] > 5:
+        assert expected.sum(axis=0).min() > 5
+    np.testing.assert_array_equal(counts, 1 + expected)
 
 
 @each_size

@@ -196,6 +196,25 @@ def test_options_change_the_mesh(rendered):
     assert not np.array_equal(wide.vertices[:50], usual.vertices[:50])
 
 
+def test_coverage_changes_the_mesh(rendered):
+    """Complete keeps surfaces of one view, strict leaves out those of one or two views."""
+    views = noisy_views(rendered[:5])
+    strict, usual, complete = (
+        fused_mesh(views, coverage=coverage) for coverage in ("strict", "normal", "complete")
+    )
+    assert len(strict.faces) < len(usual.faces) < len(complete.faces)
+    share = completeness(complete.vertices, rendered[:5], within=0.05)
+    assert share > completeness(usual.vertices, rendered[:5], within=0.05) + 0.02
+
+
+def test_a_view_that_others_contradict_gives_no_surface():
+    """Three of four views agree; complete leaves out the depth of the fourth before them."""
+    inverse_depth = np.full((30, 40), 1 / 1.5, np.float32)
+    wrong = wall(inverse_depth=inverse_depth, inverse_depth_std=0.01 * inverse_depth, size=(30, 40))
+    mesh = fused_mesh([wrong, *walls(3, size=(30, 40))], coverage="complete")
+    assert len(mesh.faces) > 100 and mesh.vertices[:, 2].min() > 1.9
+
+
 def test_the_unit_of_length_is_of_no_matter():
     small = [
         wall(1e-4 * n, inverse_depth=np.full((30, 40), 500, np.float32),
@@ -250,6 +269,7 @@ def test_the_same_bits_twice():
     ("options", "error"),
     [
         ({"agreeing": 0}, ValueError),
+        ({"coverage": "some"}, ValueError),
         ({"voxel": 0}, ValueError),
         ({"voxel": "fine"}, TypeError),
         ({"truncation": np.nan}, ValueError),

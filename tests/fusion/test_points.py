@@ -10,8 +10,9 @@ import tisfm
 from tests.fusion.rooms import completeness, noisy_views, poses_in_room, relative_error, room_view
 from tisfm.fusion import DepthView, fused_points
 from tisfm.fusion import points as points_module
+from tisfm.fusion.agreement import AgreementRule, DepthNoise, FittedViews, measure_noise
 from tisfm.fusion.depth_views import PosedViews
-from tisfm.fusion.points import choose_neighbours
+from tisfm.fusion.neighbours import choose_neighbours
 from tisfm.rigid import pose_matrix
 
 
@@ -155,13 +156,47 @@ def test_the_unit_of_length_is_of_no_matter(rendered, unit):
 def test_options_change_the_points(rendered):
     views = noisy_views(rendered[:5], outliers=0.05)
     usual = len(fused_points(views))
-    assert len(fused_points(views, agreeing=2)) > usual > len(fused_points(views, agreeing=4))
+    assert len(fused_points(views, agreeing=1)) > usual > len(fused_points(views, agreeing=4))
+    strict, complete = (len(fused_points(views, coverage=c)) for c in ("strict", "complete"))
+    assert strict < usual < complete
     assert len(fused_points(views, max_relative_std=0.005)) == 0
     farthest = [
         np.linalg.norm(fused_points(views, max_depth=bound).positions, axis=1).max()
         for bound in (1.0, None)
     ]
     assert farthest[0] < farthest[1]
+
+
+def test_deviations_that_are_too_large_are_reduced(rendered):
+    """Views whose stated deviations are three times their differences give the same points."""
+    views = noisy_views(rendered[:5], noise=0.004)
+    wide = [
+        dataclasses.replace(view, inverse_depth_std=3 * view.inverse_depth_std) for view in views
+    ]
+    read = PosedViews(wide, max_relative_std=1.0, max_depth=None)
+    noise = measure_noise(read)
+    # Interpolation between pixels, at places of all kinds, averages noise: its variance is 4/9.
+    spread = np.sqrt(1 + 4 / 9)
+    assert noise.deviation_factor == pytest.approx(spread / np.sqrt(2) / 3, rel=0.1)
+    assert noise.max_difference == pytest.approx(2 * 0.6745 * 0.004 * spread, rel=0.1)
+    assert len(fused_points(wide)) == pytest.approx(len(fused_points(views)), rel=0.1)
+
+
+def test_points_that_views_see_through_are_removed():
+    """A point half-way to the wall is removed; points on the wall and just before it stay."""
+    views = [wall(0.03 * n, size=(30, 40)) for n in range(12)]
+    noise = DepthNoise(max_difference=0.01)
+    read = PosedViews(views, max_relative_std=1.0, max_depth=None, cached_views=12)
+    points = points_module._PointList()
+    positions = np.array([[0, 0, 2], [0, 0, 1.5], [0, 0, 1.99]], np.float32)
+    points.add(
+        positions / np.float32(read.unit),
+        np.full(3, 0.01, np.float32),
+        np.zeros((3, 3), np.float32),
+        np.ones(3, np.float32),
+    )
+    points.carve(FittedViews(read, noise))
+    np.testing.assert_allclose(points.positions[:, 2] * read.unit, [2, 1.99], rtol=1e-6)
 
 
 def test_a_cube_has_the_mean_of_its_points_by_precision():
@@ -193,8 +228,10 @@ def test_the_deviation_of_a_point_is_that_of_the_mean():
         [wall(std=std) for std in stds], max_relative_std=0.1, max_depth=None, cached_views=3
     )
     view, *others = read
-    shown = np.zeros(view.inverse_depth.shape, bool)
-    _, relative, _, _ = points_module._agreed_points(view, others, shown, 3)
+    rule = AgreementRule(agreeing=3, min_share=0.5, max_relative_std=0.1)
+    is_candidate = np.ones(view.inverse_depth.shape, bool)
+    found = points_module._agreed_points(view, others, is_candidate, rule, DepthNoise())
+    _, relative, _, _ = found
     expected = 1 / np.sqrt(sum(1 / std**2 for std in stds))
     np.testing.assert_allclose(relative, expected, rtol=1e-4)
 
@@ -292,6 +329,7 @@ def test_kinds_are_checked(change):
     ("options", "error"),
     [
         ({"agreeing": 0}, ValueError),
+        ({"coverage": "some"}, ValueError),
         ({"agreeing": 2.5}, ValueError),
         ({"max_relative_std": 0}, ValueError),
         ({"max_relative_std": "much"}, TypeError),

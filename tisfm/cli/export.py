@@ -13,6 +13,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 from tisfm.checks import spelling_hint
 from tisfm.cli.console import tell, tell_grade
+from tisfm.cli.coverage import chosen_coverage
 from tisfm.cli.progress import LARGE_OUTPUT, progress_bar
 from tisfm.errors import InputError
 from tisfm.folders.result_folder import make_result_folder
@@ -77,6 +78,12 @@ class Export:
     """For video-anaglyph and video-wiggle: share of the pixels, from 0 to 1, that appear behind the
     screen; the others appear in front of it. By default the screen is twice as far away as the
     nearest point."""
+    complete: bool = False
+    """For points and surfaces of a reconstruction: keep uncertain depth too, and what a single
+    keyframe shows."""
+    strict: bool = False
+    """For points and surfaces of a reconstruction: keep only what three keyframes agree on
+    precisely."""
     screen_depth: float | None = None
     """For video-anaglyph and video-wiggle: depth of the screen, in the unit of the result, instead
     of --screen."""
@@ -87,6 +94,7 @@ class Export:
 
 
 _WITH_SCREEN = {"video-anaglyph", "video-wiggle"}
+_FUSED = {"ply", "glb", "mesh-ply", "mesh-glb"}
 _MIN_PRINTED_TIME = 20.0  # s: a shorter remaining time is not printed; set by hand
 _MIN_MEASURED_TIME = 1.0  # s over which the speed of an export is measured; set by hand
 
@@ -112,6 +120,12 @@ def export(options: Export) -> int:
                 f"--{name.replace('_', '-')} is only for {' and '.join(sorted(_WITH_SCREEN))}: "
                 "give one of them with --to, or leave it out"
             )
+    coverage = chosen_coverage(options.complete, options.strict)
+    if coverage != "normal" and not formats.keys() & _FUSED:
+        raise InputError(
+            f"--{coverage} is only for points and surfaces: give one of "
+            f"{', '.join(sorted(_FUSED))} with --to, or leave it out"
+        )
     _refuse_inside(output, folder)
     result, frames = _open_result(folder, scale)
     if options.screen_depth is not None and not frames.has_one_scale:
@@ -128,6 +142,7 @@ def export(options: Export) -> int:
         disparity=options.disparity,
         screen=options.screen,
         screen_depth=options.screen_depth,
+        coverage=coverage,
     )
     for form in formats.values():
         form.check(request)

@@ -22,6 +22,7 @@ from tisfm.cli.console import (
     tell_grade,
     watch_interrupt,
 )
+from tisfm.cli.coverage import chosen_coverage
 from tisfm.cli.options import CameraOptions, FrameOptions
 from tisfm.cli.progress import (
     LARGE_OUTPUT,
@@ -113,6 +114,10 @@ class Reconstruct:
     """Write points.ply, a coloured point cloud."""
     mesh: Literal["ply", "glb"] | None = None
     """Write mesh.ply or mesh.glb, a coloured surface; it needs pip install 'tisfm[mesh]'."""
+    complete: bool = False
+    """With --ply or --mesh: keep uncertain depth too, and what a single keyframe shows."""
+    strict: bool = False
+    """With --ply or --mesh: keep only what three keyframes agree on precisely."""
     report: bool = False
     """Write report.html, one page for a browser: summary, path, statuses with advice, pictures."""
     workers: int = 1
@@ -199,6 +204,9 @@ def reconstruct(options: Reconstruct) -> int:
         raise InputError(
             "--depth-of none estimates no depth, which --ply and --mesh need: leave out one of them"
         )
+    coverage = chosen_coverage(options.complete, options.strict)
+    if coverage != "normal" and not options.ply and options.mesh is None:
+        raise InputError(f"--{coverage} is for points and surfaces: give --ply or --mesh too")
     # Check first whether the last steps are possible: the steps before them take long.
     if scale is not None and object_sizes:
         raise InputError("--scale changes the unit of --object-sizes: give one of them, or --poses")
@@ -255,9 +263,9 @@ def reconstruct(options: Reconstruct) -> int:
             result.save(output)
             write_trajectories(result, output)
         if options.ply:
-            result.points().save(output / POINTS)
+            result.points(coverage=coverage).save(output / POINTS)
         if options.mesh is not None:
-            result.mesh().save(output / f"mesh.{options.mesh}")
+            result.mesh(coverage=coverage).save(output / f"mesh.{options.mesh}")
         stages.write(output)
         run.finish()
     if options.report:
@@ -288,7 +296,13 @@ def _prepare_run(
     }
     shared: dict[str, Any] = {
         "frames": frames,
-        "others": {"scale": options.scale, "ply": options.ply, "mesh": options.mesh},
+        "others": {
+            "scale": options.scale,
+            "ply": options.ply,
+            "mesh": options.mesh,
+            "complete": options.complete,
+            "strict": options.strict,
+        },
         "arch": options.arch,
         "threads": options.threads,
     }

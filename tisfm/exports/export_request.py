@@ -13,6 +13,7 @@ from tisfm.camera_file import FILE_NAME as CAMERA_FILE
 from tisfm.camera_file import read_camera, read_camera_record
 from tisfm.errors import InputError, OutOfRangeError
 from tisfm.folders.result_folder import make_subfolder
+from tisfm.fusion.agreement import Coverage
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 from tisfm.results.pair_frames import PairFrames
 from tisfm.results.sequence_frames import SequenceFrames
@@ -131,6 +132,8 @@ class ExportRequest:
     # quantile of the depth or as a depth
     screen: float | None = None
     screen_depth: float | None = None
+    # how much of the surface points and meshes keep
+    coverage: Coverage = "normal"
 
     @property
     def sequence(self) -> Reconstruction:

@@ -263,7 +263,13 @@ def _video_format(kind: VideoKind) -> Format:
 def _points_format(suffix: Suffix) -> Format:
     def write(export: ExportRequest, progress: Progress) -> Files:
         if isinstance(export.frames, SequenceFrames):
-            return write_points(export.sequence, export.folder, suffix=suffix, frames=export.chosen)
+            return write_points(
+                export.sequence,
+                export.folder,
+                suffix=suffix,
+                frames=export.chosen,
+                coverage=export.coverage,
+            )
         subfolder, written_files = export.subfolder(f"points-{suffix}"), []
         names = file_names(export.frames.names)
         for done, frame in enumerate(export.chosen, 1):
@@ -286,7 +292,13 @@ def _points_format(suffix: Suffix) -> Format:
 
 def _mesh_format(suffix: Suffix) -> Format:
     def write(export: ExportRequest, progress: Progress) -> Files:
-        return write_meshes(export.sequence, export.folder, suffix=suffix, frames=export.chosen)
+        return write_meshes(
+            export.sequence,
+            export.folder,
+            suffix=suffix,
+            frames=export.chosen,
+            coverage=export.coverage,
+        )
 
     def check(export: ExportRequest) -> None:
         _require_poses(export)

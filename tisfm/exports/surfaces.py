@@ -11,6 +11,7 @@ from tisfm.errors import InputError
 from tisfm.exports.export_request import piece_files, piece_frames
 from tisfm.formats import atomic_write
 from tisfm.formats.glb import glb_points
+from tisfm.fusion.agreement import Coverage
 from tisfm.point_cloud import PointCloud
 from tisfm.reconstruction.result.reconstruction import Reconstruction
 
@@ -23,6 +24,7 @@ def write_points(
     *,
     suffix: Suffix = "ply",
     frames: Iterable[int] | None = None,
+    coverage: Coverage = "normal",
 ) -> list[Path]:
     """Write the fused coloured points of the keyframes: ``points.ply`` or ``points.glb``.
 
@@ -37,6 +39,8 @@ def write_points(
     frames : iterable of int, optional
         The keyframes among these frames are fused, or all of them if there is no keyframe; by
         default all frames.
+    coverage : {"normal", "strict", "complete"}
+        How much of the surface is kept, as for `tisfm.Reconstruction.points`.
 
     Returns
     -------
@@ -61,7 +65,7 @@ def write_points(
     written_files = []
     for file, piece in zip(piece_files(Path(folder), f"points.{suffix}", pieces), pieces,
                            strict=True):  # fmt: skip
-        points = result.points(_frames_to_fuse(result, piece))
+        points = result.points(_frames_to_fuse(result, piece), coverage=coverage)
         if len(points):
             save_points(points, file)
             written_files.append(file)
@@ -79,12 +83,13 @@ def write_meshes(
     *,
     suffix: Suffix = "ply",
     frames: Iterable[int] | None = None,
+    coverage: Coverage = "normal",
 ) -> list[Path]:
     """Write the fused coloured surface of the keyframes: ``mesh.ply`` or ``mesh.glb``.
 
     Parameters
     ----------
-    result, folder, suffix, frames
+    result, folder, suffix, frames, coverage
         As for `write_points`.
 
     Returns
@@ -112,7 +117,7 @@ def write_meshes(
     written_files = []
     for file, piece in zip(piece_files(Path(folder), f"mesh.{suffix}", pieces), pieces,
                            strict=True):  # fmt: skip
-        mesh = result.mesh(_frames_to_fuse(result, piece))
+        mesh = result.mesh(_frames_to_fuse(result, piece), coverage=coverage)
         if len(mesh.faces):
             mesh.save(file)
             written_files.append(file)

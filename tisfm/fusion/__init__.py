@@ -1,7 +1,7 @@
 """Fusion of the depth maps of many views into one point cloud or one mesh.
 
-Here: the views, the points that several views agree on, a truncated signed distance field in blocks
-near the surface, the mesh extracted from it, and the file of a mesh.
+Here: the views, the pixels and the points that several views agree on, a truncated signed distance
+field in blocks near the surface, the mesh extracted from it, and the file of a mesh.
 
 May import: `tisfm.formats`, `tisfm.kernels`, and of the top level `camera`, `checks`,
 `point_cloud`, `rigid` and `runtime`.

@@ -81,6 +81,17 @@ class PosedDepth:
     pose: Floats  # (4, 4) float64: camera to world
     intrinsics: Floats  # (3, 3) float64: from camera axes to pixels
 
+    def thinned(self, step: int) -> "PosedDepth":
+        """Return the view of every `step`-th row and column."""
+        to_thinned = np.diag([1 / step, 1 / step, 1])
+        return PosedDepth(
+            inverse_depth=np.ascontiguousarray(self.inverse_depth[::step, ::step]),
+            deviation=np.ascontiguousarray(self.deviation[::step, ::step]),
+            colors=np.ascontiguousarray(self.colors[::step, ::step]),
+            pose=self.pose,
+            intrinsics=to_thinned @ self.intrinsics,
+        )
+
     @property
     def to_pixels(self) -> Floats:
         """(3, 4) matrix from a point of the world to (u z, v z, z)."""
@@ -132,6 +143,9 @@ class PosedViews:
         # depth beyond this multiple of the median depth of its view is not used
         max_depth: float | None,
         cached_views: int = 1,  # number of views that stay in memory
+        # by index of a view: (H, W) bool as `numpy.packbits` packs it, the pixels that are used; by
+        # default all
+        masks: dict[int, NDArray[np.uint8]] | None = None,
     ) -> None:
         if not (hasattr(views, "__len__") and hasattr(views, "__getitem__")):
             raise InputTypeError(
@@ -143,6 +157,7 @@ class PosedViews:
             check_positive(max_depth, "max_depth", "a positive number of median depths, or None")
         self._views = views
         self._max_relative_std, self._max_depth = max_relative_std, max_depth
+        self._masks = masks
         self._prepare_cached = lru_cache(maxsize=cached_views)(self._prepare)
         summaries = [(index, self._summarise(index)) for index in range(len(views))]
         self._indices = [index for index, summary in summaries if summary]
@@ -175,7 +190,7 @@ class PosedViews:
 
     def _prepare(self, n: int) -> PosedDepth:
         view = self._view(self._indices[n])
-        is_usable = self._usable_pixels(view, self._unscaled_summaries[n].max_z)
+        is_usable = self._usable_pixels(self._indices[n], view, self._unscaled_summaries[n].max_z)
         height, width = is_usable.shape
         frame = view.frame if view.frame.ndim == 3 else view.frame[..., None]
         cx, cy = view.camera.center_for(height, width)
@@ -204,7 +219,7 @@ class PosedViews:
         view = self._view(index)
         if not np.isfinite(view.pose).all():
             return None
-        is_usable = self._usable_pixels(view, math.inf)
+        is_usable = self._usable_pixels(index, view, math.inf)
         if not is_usable.any():
             return None
         values = view.inverse_depth[is_usable].astype(float)
@@ -223,12 +238,20 @@ class PosedViews:
             field_angle=math.atan2(math.hypot(*half_sizes), view.camera.focal),
         )
 
-    def _usable_pixels(self, view: DepthView, max_z: float) -> NDArray[np.bool_]:
+    def index(self, n: int) -> int:
+        """Return the index that a view has among all views, the unused ones included."""
+        return self._indices[n]
+
+    def _usable_pixels(self, index: int, view: DepthView, max_z: float) -> NDArray[np.bool_]:
         inverse_depth, std = view.inverse_depth, view.inverse_depth_std
         is_usable = np.isfinite(inverse_depth) & (inverse_depth > 0) & np.isfinite(std) & (std >= 0)
         with np.errstate(invalid="ignore", over="ignore"):
             is_usable &= std <= self._max_relative_std * inverse_depth
             is_usable &= inverse_depth * np.float64(max_z) >= 1 - 1e-6
+        if self._masks is not None:
+            packed_mask = self._masks.get(index, np.zeros(-(-is_usable.size // 8), np.uint8))
+            mask = np.unpackbits(packed_mask, count=is_usable.size).reshape(is_usable.shape)
+            is_usable &= mask.astype(bool)
         return is_usable
 
 

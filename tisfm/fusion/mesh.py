@@ -2,18 +2,29 @@
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tisfm import runtime
-from tisfm.checks import check_whole_numbers, refuse_masked
+from tisfm.checks import refuse_masked
 from tisfm.errors import InputError, MissingPackageError
 from tisfm.formats import atomic_write
 from tisfm.formats.glb import glb_surface
 from tisfm.formats.ply_note import add_ply_note
+from tisfm.fusion.agreement import (
+    CACHED_VIEWS,
+    MAX_COMPARED_STD,
+    AgreementRule,
+    Coverage,
+    FittedViews,
+    agreement_rule,
+    compare_views,
+    fit_rule,
+    measure_noise,
+)
 from tisfm.fusion.depth_views import DepthView, PosedViews, check_positive
 from tisfm.fusion.isosurface import extract_surface
 from tisfm.fusion.signed_distance import (
@@ -111,6 +122,9 @@ VOXEL_PIXELS = 2.0  # edge of a voxel, px at the median depth
 MIN_VOXEL_DEVIATIONS = 0.5
 TRUNCATION_VOXELS = 4.0  # truncation distance, voxels
 MIN_TRUNCATION_DEVIATIONS = 3.0  # smallest truncation distance, median deviations of depth
+NORMAL_AGREEING = 3  # views that show a surface, with normal coverage
+NORMAL_STD = 0.05  # largest relative standard deviation of depth, with normal coverage
+COMPARED_STEP = 2  # px between pixels that are compared with other views
 UNSEEN_GREY = 128  # grey level of vertices that no view shows
 _MIN_ENLARGEMENT = 1.1  # smallest factor by which voxels grow if the default is too small
 
@@ -119,11 +133,15 @@ def fused_mesh(
     # Any object with a length and items. Views are read one by one, four times each.
     views: Sequence[DepthView],
     *,
+    # How much is kept. "normal": depth up to a stated deviation, where three views show a surface.
+    # "strict" and "complete": the depth that `fused_points` keeps.
+    coverage: Coverage = "normal",
     # number of views that must show the surface near a voxel; all views if there
-    # are fewer
-    agreeing: int = 3,
-    # depth with a larger relative standard deviation is not used
-    max_relative_std: float = 0.05,
+    # are fewer; by default 3, 2 or 1, by the coverage
+    agreeing: int | None = None,
+    # Depth with a larger relative standard deviation is not used. By default 0.05, as stated;
+    # "strict" and "complete" as for `fused_points`.
+    max_relative_std: float | None = None,
     # depth beyond this multiple of the median depth of its view is not used; None
     # for no bound
     max_depth: float | None = 5.0,
@@ -155,12 +173,19 @@ def fused_mesh(
     1996, doi 10.1145/237170.237269; Lewiner et al., "Efficient implementation of marching cubes'
     cases with topological guarantees", 2003, doi 10.1080/10867651.2003.10487582.
     """
-    check_whole_numbers(1, agreeing=agreeing)
+    rule = agreement_rule(coverage, agreeing, max_relative_std)
+    if coverage == "normal":
+        rule = replace(rule, agreeing=NORMAL_AGREEING if agreeing is None else agreeing)
     for name, value in (("voxel", voxel), ("truncation", truncation)):
         if value is not None:
             check_positive(value, name)
     check_scikit_image()
-    posed_views = PosedViews(views, max_relative_std=max_relative_std, max_depth=max_depth)
+    runtime.start()
+    if coverage == "normal":
+        bound = NORMAL_STD if max_relative_std is None else max_relative_std
+        posed_views = PosedViews(views, max_relative_std=bound, max_depth=max_depth)
+    else:
+        posed_views = _agreed_views(views, rule, max_depth)
     if not len(posed_views):
         empty_array = np.empty((0, 3))
         return Mesh(
@@ -169,8 +194,7 @@ def fused_mesh(
             colors=empty_array.astype(np.uint8),
             voxel=float(voxel or 0),
         )
-    runtime.start()
-    min_views = min(agreeing, len(posed_views))
+    min_views = min(rule.agreeing, len(posed_views))
     field, truncation_distance = _build_field(posed_views, voxel, truncation, min_views)
     vertices, faces = extract_surface(field, min_views)
     colors = _mean_colors(posed_views, vertices, truncation_distance)
@@ -180,6 +204,33 @@ def fused_mesh(
         colors=colors,
         voxel=field.voxel * posed_views.unit,
     )
+
+
+def _agreed_views(
+    views: Sequence[DepthView], rule: AgreementRule, max_depth: float | None
+) -> PosedViews:
+    """Return the views without the depth that too few views agree on.
+
+    Every second pixel of every second row is compared, and stands for the pixels beside it.
+    """
+    all_views = PosedViews(
+        views,
+        max_relative_std=MAX_COMPARED_STD,
+        max_depth=max_depth,
+        cached_views=CACHED_VIEWS,
+    )
+    noise = measure_noise(all_views)
+    rule = fit_rule(rule, all_views, noise)
+    fitted_views, masks = FittedViews(all_views, noise), {}
+    for n in range(len(fitted_views)):
+        height, width = fitted_views[n].inverse_depth.shape
+        thinned_view = fitted_views[n].thinned(COMPARED_STEP)
+        is_candidate = np.ones(thinned_view.inverse_depth.shape, bool)
+        others = fitted_views.neighbours(n)
+        is_kept = compare_views(thinned_view, others, is_candidate, rule, noise).is_kept
+        mask = np.repeat(np.repeat(is_kept, COMPARED_STEP, axis=0), COMPARED_STEP, axis=1)
+        masks[all_views.index(n)] = np.packbits(mask[:height, :width])
+    return PosedViews(views, max_relative_std=MAX_COMPARED_STD, max_depth=max_depth, masks=masks)
 
 
 def _build_field(

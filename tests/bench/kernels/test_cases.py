@@ -32,6 +32,7 @@ AS_A_WHOLE = {
     "rigid.depth_votes",
     "rigid.depth_edges",
     "fusion.agreement",
+    "fusion.consistency",
     "fusion.distance_field",
 }
 PARTS = {("data.image_edges", "scale"), ("solve.line_search", "subtract")}

@@ -12,6 +12,11 @@ from tisfm.reconstruction.result.reconstruction_record import ReconstructionReco
 
 if TYPE_CHECKING:
     from tisfm.fusion import DepthView, Mesh
+    from tisfm.fusion.agreement import Coverage
+
+
+# Relative standard deviation of depth that a mesh of normal coverage uses at most; set by hand.
+_MAX_MESH_STD = 0.03
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,8 +85,9 @@ class StoredFrames(ReconstructionRecord):
         self,
         frames: Iterable[int] | None = None,
         *,
-        agreeing: int = 3,
-        max_relative_std: float = 0.05,
+        coverage: "Coverage" = "normal",
+        agreeing: int | None = None,
+        max_relative_std: float | None = None,
         voxel: float | None = None,
     ) -> PointCloud:
         """Return coloured points on which several frames agree, in the axes of the world.
@@ -90,11 +96,19 @@ class StoredFrames(ReconstructionRecord):
         ----------
         frames : iterable of int, optional
             Frames of one piece; by default the keyframes of the largest piece.
-        agreeing : int
-            Number of frames, the point's own frame included, that have to agree on a point within
-            their deviations; and not more frames may see through the point.
-        max_relative_std : float
-            Largest relative deviation of inverse depth; less certain pixels are left out.
+        coverage : {"normal", "strict", "complete"}
+            How much of the surface is kept. "normal" keeps what two frames agree on. "strict" keeps
+            what three frames agree on precisely. "complete" also keeps uncertain depth, such as
+            depth that was continued far over walls without texture, and what a single frame shows.
+        agreeing : int, optional
+            Number of frames, the point's own frame included, that have to agree on a point; by
+            default 2, 3 or 1, by the coverage. A point that several frames see through is left
+            out.
+        max_relative_std : float, optional
+            Largest relative deviation of inverse depth; less certain pixels are left out. If the
+            frames differ by less than their deviations, the deviations are first reduced to fit. By
+            default 0.02, 0.01 or 0.1, by the coverage, or a multiple of the median deviation if
+            this is larger.
         voxel : float, optional
             Side of the cubes that keep one point each, in the unit of the poses.
 
@@ -120,16 +134,22 @@ class StoredFrames(ReconstructionRecord):
         from tisfm.fusion import fused_points
 
         views = self._views(frames)
-        count = min(agreeing, max(1, len(views)))
-        points = fused_points(views, agreeing=count, max_relative_std=max_relative_std, voxel=voxel)
+        points = fused_points(
+            views,
+            coverage=coverage,
+            agreeing=agreeing,
+            max_relative_std=max_relative_std,
+            voxel=voxel,
+        )
         return replace(points, note=self.warning(views.frames))
 
     def mesh(
         self,
         frames: Iterable[int] | None = None,
         *,
-        agreeing: int = 3,
-        max_relative_std: float = 0.03,
+        coverage: "Coverage" = "normal",
+        agreeing: int | None = None,
+        max_relative_std: float | None = None,
         voxel: float | None = None,
         truncation: float | None = None,
     ) -> "Mesh":
@@ -139,11 +159,18 @@ class StoredFrames(ReconstructionRecord):
 
         Parameters
         ----------
-        frames, agreeing
+        frames : iterable of int, optional
             As for `points`.
-        max_relative_std : float
+        coverage : {"normal", "strict", "complete"}
+            How much of the surface is kept. "strict" and "complete" use the depth that `points`
+            keeps. "normal" uses all depth that is certain enough; it covers less than "complete",
+            and is more exact.
+        agreeing : int, optional
+            Number of frames that have to show the surface; by default 3, and 1 for "complete".
+        max_relative_std : float, optional
             Largest relative deviation of depth; less certain depth is left out, such as depth that
-            was propagated far over walls without texture.
+            was propagated far over walls without texture. By default 0.03 for "normal"; otherwise
+            as for `points`.
         voxel : float, optional
             Side of the voxels, in the unit of the poses; by default 2 px at the median depth, or
             half the median deviation of depth if this is larger.
@@ -171,10 +198,12 @@ class StoredFrames(ReconstructionRecord):
         from tisfm.fusion import fused_mesh
 
         views = self._views(frames)
-        count = min(agreeing, max(1, len(views)))
+        if coverage == "normal" and max_relative_std is None:
+            max_relative_std = _MAX_MESH_STD
         surface = fused_mesh(
             views,
-            agreeing=count,
+            coverage=coverage,
+            agreeing=agreeing,
             max_relative_std=max_relative_std,
             voxel=voxel,
             truncation=truncation,
