@@ -75,8 +75,10 @@ def _group_cell(group: str, names: tuple[str, str]) -> Callable[[Score], str]:
     """Return the cell of a group of frames: mean error and share of wrong pixels, %."""
 
     def text(evaluation: SequenceEvaluation) -> str | None:
-        errors = evaluation.depth and getattr(evaluation.depth, group)
-        values = [getattr(errors, name) for name in names] if errors else [None]
+        errors = None if evaluation.depth is None else getattr(evaluation.depth, group)
+        if errors is None:
+            return None
+        values = [getattr(errors, name) for name in names]
         return None if None in values else " / ".join(f"{100 * value:.1f}" for value in values)
 
     return _evaluation_cell(text)

@@ -66,7 +66,7 @@ class DepthSettings:
     data_texture: float = 1000.0
     # half-quadratic iterations that propagate matches. With fewer, depth is smooth across outlines;
     # more of them sharpen little. Chosen on every second keyframe of TartanAir and HoloLens.
-    propagation_iterations: int = 8
+    propagation_iterations: tuple[int, int, int] = (4, 8, 8)
     warps: int = 3
     iterations: int = 1  # iterations of each warp
     max_depth_factor: float = 2.0  # largest propagated depth divided by the largest matched depth

@@ -105,7 +105,8 @@ def window_depth(
     planes = replace(planes, is_reliable=anchors[0] > 0)
     if planes.is_reliable.sum() < max(1, DEPTH.min_matched_share * window.used_cells.sum()):
         return None
-    refinement = _DepthRefinement(window, settings, anchors)
+    iterations = by_effort(DEPTH.propagation_iterations, effort)
+    refinement = _DepthRefinement(window, settings, anchors, iterations)
     for _ in range(DEPTH.warps):
         refinement.step()
     depth = refinement.depth()
@@ -150,12 +151,13 @@ class _DepthRefinement:
         window: Window,
         settings: Settings,
         anchors: np.ndarray,  # (2, h, w) float32: weight of each cell, and its matched D, cells
+        iterations: int,  # iterations that propagate matches
     ) -> None:
         level = window.level
         frame, camera = window.at_cell_level(0), window.camera_of(level)
         smoothness = second_order(level)
         depth, slopes = extend_depth(
-            anchors[1], anchors[0], frame, smoothness, iterations=DEPTH.propagation_iterations
+            anchors[1], anchors[0], frame, smoothness, iterations=iterations
         )
         self._grid = grid = runtime.lane_grid(*frame.shape)
         unknowns = Unknowns(grid, camera, 1)
