@@ -41,7 +41,8 @@ def compare(
     In the other view the point has inverse depth d' = d / g, with g the ratio of its depths in the
     other view and in this view, and with deviation σ |∂d'/∂d|. Let m be the inverse depth that the
     other view's map has there, and L be `tolerance` combined deviations. The other view agrees with
-    the point if |m − d'| ≤ L. It sees through the point if m < d' − L.
+    the point if |m − d'| ≤ L and |m − d'| ≤ `max_difference` d'. It sees through the point if
+    m < d' − L.
     """
     check_map(inverse_depth, deviation)
     check_map(other_inverse_depth, other_deviation, "other_")

@@ -164,6 +164,7 @@ def _draw_triangle(image: ti.template(), a, b, c):
     is_drawn = is_drawn and right - left < MAX_STRETCH and bottom - top < MAX_STRETCH
     is_drawn = is_drawn and right > -1.0 and left < image.shape[1]
     if is_drawn and bottom > -1.0 and top < image.shape[0]:
+        nearest, farthest = ti.max(a[2], b[2], c[2]), ti.min(a[2], b[2], c[2])
         slope_x = (ab[2] * ac[1] - ac[2] * ab[1]) / area
         slope_y = (ac[2] * ab[0] - ab[2] * ac[0]) / area
         first = ti.max(ti.cast(ti.ceil(top - BORDER_TOLERANCE), ti.i32), 0)
@@ -178,6 +179,8 @@ def _draw_triangle(image: ti.template(), a, b, c):
             end = ti.min(ti.cast(ti.floor(span[1] + BORDER_TOLERANCE), ti.i32), image.shape[1] - 1)
             for column in range(start, end + 1):
                 value = a[2] + slope_x * (column - a[0]) + slope_y * (row - a[1])
+                # Rounding makes the slopes of a thin triangle unreliable.
+                value = ti.max(ti.min(value, nearest), farthest)
                 ti.atomic_max(image[row, column], value)
 
 

@@ -1,11 +1,9 @@
 """Inverse depth of a frame, merged from several keyframes by votes that know visibility.
 
 Each keyframe gives a candidate at a pixel of the frame: its depth, rendered in the frame. A
-keyframe votes for a candidate that agrees with its own, and against a candidate
-
-* that lies behind its own, since the frame would look through the surface of the keyframe;
-* that the keyframe looks through: the candidate's point lies in front of the surface that the
-  keyframe shows at the point's position.
+keyframe votes for a candidate that agrees with its own, and against a candidate that it looks
+through: the candidate's point lies in front of the surface that the keyframe shows at the point's
+position.
 
 A keyframe has no vote on a candidate that it does not show: it is behind another surface there, or
 outside its image. The weight of a vote is (d/σ)², multiplied by the similarity of the grey levels

@@ -28,7 +28,7 @@ def find_fattened(
     *,
     contour_distance: int,  # cells: largest distance of the contour
     # cells: distance of the depth behind, and of the edges ahead; depth ahead is taken at this
-    # distance and at 1.5 times it; at least 2
+    # distance and at 1.5 times it; at least 3
     surface_distance: int,
     contrast: float,  # contrast of the contour divided by that of the strongest edge ahead
     min_contrast: float,  # grey levels: smallest difference of the two contrasts, scaled as above
@@ -41,8 +41,11 @@ def find_fattened(
 
     Positions beyond the border count as the nearest cell of the border.
 
-    Raises TypeError, ValueError if an array is not of these types and sizes.
+    Raises TypeError, ValueError if an array is not of these types and sizes, or if
+    `surface_distance` is below 3.
     """
+    if surface_distance < 3:
+        raise ValueError(f"surface_distance is {surface_distance}: expected at least 3 cells")
     shape = frame.shape
     for name, array in (("frame", frame), ("inverse_depth", inverse_depth), ("matches", matches)):
         check_array(array, shape, name, aligned=False)

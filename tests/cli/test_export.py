@@ -223,6 +223,14 @@ def test_pairs_with_units_of_their_own_have_no_depth_of_the_screen(tisfm_run, wo
     assert not (work_folder / "out").exists()
 
 
+@pytest.mark.parametrize("option", ["--strict", "--complete"])
+def test_points_of_pairs_are_not_fused(tisfm_run, work_folder, option):
+    run_of(work_folder / "pairs")
+    code, _, err = tisfm_run("export", "pairs", "-o", "out", "--to", "ply", option)
+    assert_one_line(code, err, f"{option} is only for reconstructions", "pairs has pairs")
+    assert not (work_folder / "out").exists()
+
+
 @pytest.mark.parametrize("name", ["ply", "mesh-glb", "depth-dpt", "video-depth"])
 def test_a_path_alone_has_no_depth(tisfm_run, work_folder, name):
     made(work_folder / "walk", with_depth=())

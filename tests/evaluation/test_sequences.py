@@ -110,6 +110,23 @@ def test_without_deviations_nothing_is_surest(sequence):
     assert depth.certain is None and depth.error < ROUNDED
 
 
+def test_keyframes_and_frames_between_have_errors_of_their_own(sequence):
+    result = Result(unit=1.0)
+    assert compared(sequence, result, poses_given=True).depth.keyframes is None
+    result.keyframes = (0, 2)
+    result.inverse = np.array(result.inverse)
+    result.inverse[[0, 2]] /= 1.05
+    result.inverse[[1, 3]] /= 1.25
+    depth = compared(sequence, result, poses_given=True).depth
+    assert depth.keyframes.frames == 2 and depth.between.frames == N - 2
+    assert depth.keyframes.error == pytest.approx(0.05, abs=1e-3)
+    assert depth.keyframes.wrong == 0
+    assert depth.between.error == pytest.approx(0.25 * 2 / (N - 2), abs=1e-3)
+    assert depth.between.wrong == pytest.approx(2 / (N - 2))
+    # The scene is one plane.
+    assert depth.keyframes.outline_error is None and depth.between.outline_wrong is None
+
+
 def test_poses_that_are_given_fix_the_scale(sequence):
     found = compared(sequence, Result(unit=0.5), poses_given=True)
     assert found.pieces == () and found.depth.scale == 1

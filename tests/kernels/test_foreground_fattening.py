@@ -84,6 +84,8 @@ def test_arrays_are_checked():
     frame, depth, matches = outline()
     with pytest.raises(ValueError, match="inverse_depth"):
         found(frame, depth[:-1], matches)
+    with pytest.raises(ValueError, match="surface_distance is 2"):
+        found(frame, depth, matches, surface_distance=2)
     from tisfm.kernels.rigid.foreground_fattening import find_fattened
 
     arrays = [np.float32(array) for array in (frame, depth, matches)]

@@ -128,6 +128,11 @@ def export(options: Export) -> int:
         )
     _refuse_inside(output, folder)
     result, frames = _open_result(folder, scale)
+    if coverage != "normal" and not frames.can_fuse:
+        raise InputError(
+            f"--{coverage} is only for reconstructions, whose keyframes are fused, but {folder} "
+            "has pairs: leave it out"
+        )
     if options.screen_depth is not None and not frames.has_one_scale:
         raise InputError(
             f"--screen-depth needs one unit of depth, but each pair of {folder} has its own: give "

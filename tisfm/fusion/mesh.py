@@ -137,7 +137,7 @@ def fused_mesh(
     # "strict" and "complete": the depth that `fused_points` keeps.
     coverage: Coverage = "normal",
     # number of views that must show the surface near a voxel; all views if there
-    # are fewer; by default 3, 2 or 1, by the coverage
+    # are fewer; by default 3, or 1 for "complete"
     agreeing: int | None = None,
     # Depth with a larger relative standard deviation is not used. By default 0.05, as stated;
     # "strict" and "complete" as for `fused_points`.

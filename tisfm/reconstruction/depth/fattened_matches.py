@@ -28,7 +28,7 @@ def remove_fattened(
         np.ascontiguousarray(anchors[1]),
         is_fattened,
         contour_distance=max(1, DEPTH.contour_distance // side),
-        surface_distance=max(2, DEPTH.surface_distance // side),
+        surface_distance=max(3, DEPTH.surface_distance // side),
         contrast=DEPTH.contour_contrast,
         min_contrast=DEPTH.contour_noise * noise_deviation(frame),
         min_step=DEPTH.min_surface_step,
