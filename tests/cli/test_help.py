@@ -88,6 +88,7 @@ def test_help_shows_the_values_of_the_preset(tisfm_run, spelling):
                 "--no-resume",
             }
             | {"--report", "--no-report"}
+            | {"--complete", "--no-complete", "--strict", "--no-strict"}
             | {"--ply", "--no-ply", "--mesh", "--arch", "--threads", "--step", "--start", "--stop"}
             | {"--size", "--crop", "--bad-frames", "--camera", "--focal", "--center"}
             | {"--distortion", "--aspect", "--readout", "--help"},
