@@ -104,7 +104,7 @@ def distance_from_surface(points: Floats, truth: Sequence[TrueFrame]) -> tuple[F
 def gaps_of_surface(points: Floats, truth: Sequence[TrueFrame], max_depth: float) -> Floats:
     """Return the distance of true points from the nearest point of a cloud, as a share of Z.
 
-    The true points are those of every `STEP`-th pixel of all frames, up to `max_depth`.
+    Every `STEP`-th pixel of all frames gives a true point, up to the depth `max_depth`.
     """
     tree, gaps = cKDTree(points), []
     for frame in truth:

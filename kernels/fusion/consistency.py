@@ -61,7 +61,7 @@ def count_views(
     tolerance: float,  # deviations
     min_difference: float,  # share of the inverse depth
 ) -> None:
-    """Count the views that show points, and those that see through them.
+    """Count the views that show points, and the views that see through them.
 
     With L the larger of `tolerance` combined deviations and `min_difference` times the inverse
     depth of the point, a view sees through a point if its inverse depth is smaller by more than L,

@@ -141,7 +141,7 @@ def _count_votes(
     max_difference: ti.f32,
     votes: ti.types.ndarray(dtype=ti.f32, ndim=3),  # (N, H, W)
 ):
-    """Sum the votes that agree, less those of keyframes that look through the candidate."""
+    """Sum the votes of agreeing keyframes, less the votes of keyframes with free space there."""
     for n, y, x in ti.ndrange(inverse_depths.shape[0], votes.shape[1], votes.shape[2]):
         candidate, total = inverse_depths[n, y, x], 0.0
         if candidate > 0.0:

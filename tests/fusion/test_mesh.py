@@ -197,7 +197,7 @@ def test_options_change_the_mesh(rendered):
 
 
 def test_coverage_changes_the_mesh(rendered):
-    """Complete keeps surfaces of one view, strict leaves out those of one or two views."""
+    """A complete mesh keeps surfaces of one view; a strict mesh needs three views."""
     views = noisy_views(rendered[:5])
     strict, usual, complete = (
         fused_mesh(views, coverage=coverage) for coverage in ("strict", "normal", "complete")

@@ -87,8 +87,8 @@ def agreement_rule(
 class DepthNoise:
     """How far the depth maps of views differ from one another."""
 
-    # Factor from stated deviations to those that fit the differences, at most 1. The deviations of
-    # a plane that was found as a whole, for instance, hold for each of its pixels alone.
+    # Factor from stated deviations to deviations that fit the differences, at most 1. The
+    # deviations of a plane that was found as a whole hold for each of its pixels alone.
     deviation_factor: float = 1.0
     # largest difference of two views that agree, as a share of the inverse depth
     max_difference: float = float("inf")

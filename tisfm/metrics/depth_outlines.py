@@ -73,15 +73,8 @@ def outlines(truth: ArrayLike, *, radius: int = OUTLINE_RADIUS) -> NDArray[np.bo
     >>> outlines(truth, radius=2)[0].nonzero()[0].tolist()
     [17, 18, 19, 20, 21, 22]
     """
-    depth = check_unmasked(truth, "truth", np.float64)
-    if depth.ndim != 2:
-        raise InputError(f"truth is {depth.shape}: expected (H, W)")
-    has_truth = is_known(depth) & (depth > 0)
-    inverse = np.where(has_truth, 1 / np.where(has_truth, depth, 1.0), np.nan)
-    is_jump = _jumps(inverse) | _jumps(inverse.T).T
-    side = 2 * radius + 1
-    near = cv2.dilate(is_jump.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
-    return np.asarray(near & has_truth)
+    inverse = _inverse_of_truth(truth)
+    return _near(_jumps(inverse) | _jumps(inverse.T).T, radius) & np.isfinite(inverse)
 
 
 def outlines_of_blurred_depth(
@@ -119,18 +112,13 @@ def outlines_of_blurred_depth(
     >>> int(outlines_of_blurred_depth(truth)[0].sum())
     16
     """
-    depth = check_unmasked(truth, "truth", np.float64)
-    if depth.ndim != 2:
-        raise InputError(f"truth is {depth.shape}: expected (H, W)")
-    has_truth = is_known(depth) & (depth > 0)
-    inverse = 1 / np.where(has_truth, depth, 1.0)
+    inverse = _inverse_of_truth(truth)
+    has_truth = np.isfinite(inverse)
     square = np.ones((window, window), np.uint8)
     largest = cv2.dilate(np.where(has_truth, inverse, 0.0), square)
     least = cv2.erode(np.where(has_truth, inverse, np.inf), square)
     is_outline = (largest - least > min_range * largest) & has_truth
-    side = 2 * radius + 1
-    near = cv2.dilate(is_outline.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
-    return np.asarray(near & has_truth)
+    return _near(is_outline, radius) & has_truth
 
 
 def region_errors(
@@ -174,6 +162,21 @@ def region_errors(
     if not len(chosen):
         return None
     return RegionErrors(error=float(chosen.mean()), wrong=float((chosen > WRONG_ERROR).mean()))
+
+
+def _inverse_of_truth(truth: ArrayLike) -> NDArray[np.float64]:
+    """Return the inverse of a true depth, (H, W), NaN where the depth is unknown."""
+    depth = check_unmasked(truth, "truth", np.float64)
+    if depth.ndim != 2:
+        raise InputError(f"truth is {depth.shape}: expected (H, W)")
+    has_truth = is_known(depth) & (depth > 0)
+    return np.where(has_truth, 1 / np.where(has_truth, depth, 1.0), np.nan)
+
+
+def _near(region: NDArray[np.bool_], radius: int) -> NDArray[np.bool_]:
+    """Return the pixels within `radius` px of a region, along rows and along columns."""
+    square = np.ones((2 * radius + 1,) * 2, np.uint8)
+    return np.asarray(cv2.dilate(region.astype(np.uint8), square) > 0)
 
 
 def _jumps(inverse: NDArray) -> NDArray[np.bool_]:

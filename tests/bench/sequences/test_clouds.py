@@ -24,7 +24,7 @@ def test_the_true_surface_is_exact_and_complete():
     points = np.concatenate([true.surface(true.depth)[0] for true in TRUTH])
     errors = cloud_errors(points, TRUTH, 40.0)
     assert errors.accuracy == errors.completeness == (100, 100)
-    assert cloud_errors(points, TRUTH, 1.0).completeness == (0, 0)  # nothing is that near
+    assert cloud_errors(points, TRUTH, 1.0).completeness == (0, 0)  # no true point is nearer than 1
 
 
 def test_points_before_the_surface_are_wrong():

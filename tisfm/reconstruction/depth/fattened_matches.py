@@ -14,7 +14,7 @@ def remove_fattened(
     anchors: np.ndarray,  # (2, h, w) float32: weight of each cell, and its matched D, cells
     smoothness: SecondOrderSettings,
 ) -> np.ndarray:
-    """Return the weights and matches without those that the contour of a nearer surface gave.
+    """Return the weights and matches; fattened matches have the weight 0.
 
     Depth propagated from all matches shows which side of a contour is nearer.
     """
