@@ -180,6 +180,8 @@ def test_bad_settings_and_arrays_are_refused(solver):
         solver.extend_depth(np.full((5, 7), np.nan, np.float32), good[1], good[2])
     with pytest.raises(ValueError, match="iterations is 0"):
         solver.extend_depth(*good, iterations=0)
+    with pytest.raises(ValueError, match="last_level is -1"):
+        solver.extend_depth(*good, last_level=-1)
     anchors, frame = problem(5, 7)
     with pytest.raises(ValueError, match="cycles is 0"):
         minimiser_of(solver, anchors, frame, 1, solver.SecondOrderSettings(), cycles=0)
@@ -294,6 +296,18 @@ def filled(solver, target, known, frame=NOISY, **options):
     assert depth.shape == frame.shape and slopes.shape == (2, *frame.shape)
     assert np.isfinite(depth).all() and np.isfinite(slopes).all()
     return depth, slopes
+
+
+@pytest.mark.parametrize("level", [1, 2, 99])
+def test_a_coarse_grid_extends_planes(solver, level):
+    known = (ROW % 16 < 4) & (COLUMN % 16 < 4)
+    depth, slopes = filled(solver, PLANE, known, CONSTANT, last_level=level)
+    assert not np.array_equal(depth, filled(solver, PLANE, known, CONSTANT)[0])
+    border = 2 ** min(level, 3)  # interpolation repeats the centres of the outermost cells
+    inside = np.s_[border:-border, border:-border]
+    np.testing.assert_allclose(depth[inside], PLANE[inside], atol=0.1)
+    np.testing.assert_allclose(slopes[0], 0.03, atol=0.005)
+    np.testing.assert_allclose(slopes[1], -0.02, atol=0.005)
 
 
 @pytest.mark.parametrize("frame", [CONSTANT, NOISY], ids=["constant", "noisy"])

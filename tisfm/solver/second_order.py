@@ -23,7 +23,7 @@ from tisfm.kernels.solve.second_order.system import SecondOrderSystem
 from tisfm.kernels.solve.weight_update import Sums
 from tisfm.runtime import lane_grid
 from tisfm.solver.half_quadratic import Iteration
-from tisfm.solver.sampling import shrink
+from tisfm.solver.sampling import enlarge, shrink
 from tisfm.solver.second_order_multigrid import Interpolation, SecondOrderMultigrid
 from tisfm.solver.smoothness import image_driven_factor
 
@@ -183,6 +183,8 @@ def extend_depth(
     *,
     # half-quadratic iterations on the finest level; coarser levels, which are cheap, have more
     iterations: int = ITERATIONS,
+    # halvings of the density at which the extension ends; the result is then interpolated
+    last_level: int = 0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Extend inverse depth from pixels with a measurement to the whole frame.
 
@@ -190,10 +192,13 @@ def extend_depth(
     v₂, (2, H, W) float32, px/frame per px.
 
     Raises TypeError, ValueError if the arrays are not float32 of one size, if a weight is negative
-    or not finite, if a target of weight above 0 is not finite, or if `iterations` is below 1.
+    or not finite, if a target of weight above 0 is not finite, if `iterations` is below 1, or if
+    `last_level` is negative.
     """
     if iterations < 1:
         raise InputError(f"iterations is {iterations}: expected at least 1")
+    if last_level < 0:
+        raise InputError(f"last_level is {last_level}: expected at least 0")
     settings = settings or SecondOrderSettings()
     anchors = _check_measurements(target, weight, frame)
     weight_sum = anchors[0].sum(dtype=np.float64)
@@ -203,7 +208,8 @@ def extend_depth(
     while max(levels[-1][1].shape) > MAX_COARSEST_SIDE:
         levels.append(_coarsen(*levels[-1]))
     coarse: SecondOrderMinimiser | None = None
-    for level in reversed(range(len(levels))):
+    last_level = min(last_level, len(levels) - 1)
+    for level in reversed(range(last_level, len(levels))):
         anchors, image = levels[level]
         grid = lane_grid(*image.shape)
         level_arrays = (
@@ -224,8 +230,10 @@ def extend_depth(
         minimiser.update()
         minimiser.minimise(iterations + COARSE_ITERATIONS * level)
         coarse = minimiser
-    depth, *slopes = minimiser.images()
-    return depth, np.stack(slopes)
+    images = minimiser.images()
+    if last_level:
+        images = enlarge(images, 2**last_level, *frame.shape)
+    return images[0], images[1:]
 
 
 def anchors_in_lanes(grid: LaneGrid, anchors: np.ndarray) -> LaneData:

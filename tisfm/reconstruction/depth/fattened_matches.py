@@ -16,10 +16,16 @@ def remove_fattened(
 ) -> np.ndarray:
     """Return the weights and matches; fattened matches have the weight 0.
 
-    Depth propagated from all matches shows which side of a contour is nearer.
+    Depth propagated from all matches shows which side of a contour is nearer. A coarse grid is
+    enough, since the depth of both sides is taken far from the contour.
     """
     frame = window.at_cell_level(0)
-    depth, _ = extend_depth(anchors[1], anchors[0], frame, smoothness, iterations=1)
+    halvings = 0
+    while frame.size >> 2 * halvings > DEPTH.max_surface_cells:
+        halvings += 1
+    depth, _ = extend_depth(
+        anchors[1], anchors[0], frame, smoothness, iterations=1, last_level=halvings
+    )
     side = 2 ** (window.level - window.finest_level)
     is_fattened = np.empty(frame.shape, np.int32)
     find_fattened(
