@@ -325,3 +325,29 @@ def test_checks_reuse_the_image_motion_of_the_tracks(monkeypatch):
     monkeypatch.setattr(dense_pairs, "find_flow", refuse)
     (check,) = reconstructed(film().frames).checks
     assert len(check.pairs) >= 2
+
+
+@pytest.mark.parametrize(("turn", "contradicts"), [(0.0, False), (0.06, True)])
+def test_pair_across_a_joint_is_checked_on_its_own(turn, contradicts):
+    """All other pairs are right, so their medians would hide one wrong joint."""
+    joint, poses = 6, dict(enumerate(film().poses))
+    wrong = tisfm.rigid.pose_matrix([0, 0, 0, turn, 0, 0])
+    for frame in range(joint, COUNT):
+        poses[frame] = poses[joint - 1] @ wrong @ np.linalg.inv(poses[joint - 1]) @ poses[frame]
+    random = np.random.default_rng(0)
+    places = random.uniform((0, 0), (WIDTH, HEIGHT), (50, 2))
+    tracks = {
+        frame: Observations(
+            points=places + 2.0 * frame, tracks=np.arange(50) + 100 * (frame >= joint)
+        )
+        for frame in poses
+    }
+    check = pieces.check_piece(
+        poses, (), tracks, film().frames.__getitem__, lambda _: np.ones((HEIGHT, WIDTH), bool),
+        lambda _: None, film().camera, joints=(joint,),
+    )  # fmt: skip
+    first, across = check.parts
+    assert len(first.pairs) >= 2 and not first.contradicts
+    assert [(pair.first, pair.second) for pair in across.pairs] == [(joint - 1, joint)]
+    assert across.contradicts == check.contradicts == contradicts
+    assert check.message.startswith("a part of the frames, 5 to 6") == contradicts

@@ -15,7 +15,10 @@ from tisfm.reconstruction.mapping.database import (
 )
 from tisfm.reconstruction.mapping.incremental import grow_from_poses, grow_models
 from tisfm.reconstruction.mapping.model_scores import MatchScorer
+from tisfm.reconstruction.mapping.models import find_models
 from tisfm.reconstruction.mapping.plane_motion import find_other_motion
+from tisfm.reconstruction.mapping.rival import compare_motions
+from tisfm.reconstruction.path.path_solver import make_piece
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
 
@@ -117,3 +120,36 @@ def model_error(model, poses):
         np.linalg.inv([np.vstack([pose, np.eye(4)[3]]) for pose in path]) for path in (found, poses)
     )
     return path_error(found, true)
+
+
+def test_rival_says_how_far_the_two_motions_differ():
+    poses = straight(ALONG, count=4, turn=0.0)
+    turn = Rotation.from_euler("y", 2, degrees=True).as_matrix()
+    others = np.array([np.linalg.matrix_power(turn, k) @ pose for k, pose in enumerate(poses)])
+    rival = compare_motions(poses, others, 1.01)
+    assert rival.rotation == pytest.approx(2)
+    assert compare_motions(poses, poses, 1.0).direction == pytest.approx(0, abs=1e-5)
+    backward = poses * (1, 1, 1, -1)
+    assert compare_motions(poses, backward, 1.0).direction == pytest.approx(180)
+    assert "rotations by 2.0°" in rival.message and "more than a plane" in rival.message
+
+
+@pytest.mark.parametrize(("noise", "is_near"), [(1.0, True), (0.05, False)])
+def test_near_rival_of_a_plane_is_kept(noise, is_near):
+    """With much noise, the matches hardly tell the two motions apart."""
+    found = find_models(views_of_plane(noise), {}, Camera(focal=FOCAL), SHAPE)
+    assert len(found) == 1 and len(found[0].poses) == 10
+    assert (found[0].rival is not None) == is_near
+    assert (make_piece(found[0]).rival is not None) == is_near
+
+
+def views_of_plane(noise):
+    """Return views of a plane that the camera nears; positions of points have noise, px."""
+    points, random = on_plane(TILTED), np.random.default_rng(1)
+    center = np.array(Camera(focal=FOCAL).center_for(*SHAPE))
+    views = []
+    for k, pose in enumerate(straight(TOWARDS)):
+        seen = FOCAL * project(pose, points) + center + random.normal(0, noise, (len(points), 2))
+        observations = Observations(points=seen, tracks=np.arange(len(points)))
+        views.append(View(frame=k + 5, observations=observations, detected=np.empty((0, 2))))
+    return views

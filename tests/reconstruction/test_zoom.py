@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -17,6 +18,7 @@ from tisfm.reconstruction.calibration.normal_equations import reduce_equations
 from tisfm.reconstruction.calibration.source_camera import add_radial
 from tisfm.reconstruction.calibration.track_bundle import TrackBundle
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
+from tisfm.reconstruction.mapping.rival import Rival
 from tisfm.reconstruction.mapping.solution import FocalEstimate, Piece
 from tisfm.reconstruction.path import camera_revision, path_bundle
 from tisfm.reconstruction.path.camera_path import CameraPath
@@ -30,7 +32,7 @@ from tisfm.reconstruction.path.path_solver import PathSolver
 from tisfm.reconstruction.path.settings import REVISION
 from tisfm.reconstruction.result.calibration import Calibration
 from tisfm.reconstruction.result.path_check import UNCHECKED, PathCheck
-from tisfm.reconstruction.result.statuses import ONLY_TURNS, mark_contradicted
+from tisfm.reconstruction.result.statuses import ONLY_TURNS, mark_contradicted, mark_doubtful
 from tisfm.reconstruction.result.summary import summarise
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracks
 from tisfm.resampling import ZoomRemoval
@@ -459,3 +461,31 @@ def test_coefficient_of_a_stated_focal_length_is_said():
     said = add_radial(given, estimate)
     assert (said.radial, said.radial_std, said.focal) == (-0.2, 0.004, 200.0)
     assert "k1 = -0.200 ± 0.004, estimated from the sequence and removed" in said.message
+
+
+def test_doubt_makes_converged_frames_of_its_piece_uncertain():
+    statuses = [Status("converged"), Status("contradicted", "no"), Status("converged"), ONLY_TURNS]
+    marked = mark_doubtful(statuses, [0, 0, 1, 0], ["perhaps a zoom", ""])
+    assert list(map(str, marked)) == ["uncertain", "contradicted", "converged", "pure_rotation"]
+    assert marked[0].message == "perhaps a zoom"
+
+
+def test_piece_names_its_rival_and_the_doubt_of_the_camera():
+    rival = Rival(loss=1.0, direction=40.0, rotation=2.0)
+    pieces = (replace(piece_of(range(4)), rival=rival), piece_of(range(4, 8)))
+    path = replace(path_of(*pieces), doubt="perhaps a zoom")
+    first, second = path.doubts
+    assert "differ by 40°" in first and first.endswith("; perhaps a zoom")
+    assert second == "perhaps a zoom"
+
+
+@pytest.mark.parametrize("deviation", [0.0, 0.2])
+def test_hidden_zoom_is_a_doubt_if_the_focal_length_is_a_guess(monkeypatch, deviation):
+    monkeypatch.setattr(camera_revision, "compare_cameras", lambda *_: [])
+    monkeypatch.setattr(camera_revision, "find_hidden_zoom", lambda *_: 0.01)
+    monkeypatch.setattr(camera_revision, "_fits_badly", lambda *_: False)
+    focal = FocalEstimate(focal=FOCAL, deviation=deviation * FOCAL)
+    path = replace(path_of(piece_of(range(8))), focal=focal)
+    solver = PathSolver(tracks=SimpleNamespace(shape=SHAPE), camera=path.camera, calibrate="focal")
+    revised = camera_revision.revise_path(path, solver, np.arange(8), may_distort=True)
+    assert bool(revised.doubt) == bool(deviation) and bool(revised.objection) != bool(deviation)

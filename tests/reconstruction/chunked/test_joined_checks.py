@@ -62,7 +62,7 @@ def test_a_wrong_chunk_contradicts_the_whole_piece(tmp_path):
     assert [part.pairs[0].first for part in check.parts] == [0, 3, 6]
     later = check.renumbered({k: 2 * k for k in range(9)})
     assert [part.pairs[0].first for part in later.parts] == [0, 6, 12]
-    assert check.message.startswith("a chunk of the frames, 3 to 4: the picture grows")
+    assert check.message.startswith("a part of the frames, 3 to 4: the picture grows")
     assert {status.message for status in result.status} == {
         f"{check.message}. Probable cause: {noise}"
     }

@@ -12,6 +12,7 @@ from tisfm.reconstruction.mapping.database import pycolmap
 from tisfm.reconstruction.mapping.first_pairs import FirstPairs, Pairs, first_pair_tolerance
 from tisfm.reconstruction.mapping.parallax import LowParallaxFilter
 from tisfm.reconstruction.mapping.plane_motion import find_other_motion
+from tisfm.reconstruction.mapping.rival import Rival, compare_motions
 from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.result.calibration import Calibrate
 
@@ -40,6 +41,8 @@ def grow_models(
     # Whether the focal length is known. Then a first pair needs parallax beyond a rotation, and may
     # show a single plane. With a guess, a first pair needs parallax beyond a homography.
     is_focal_known: bool = True,
+    # It is filled: by the smallest view id of a model, the motion that lost though it came near.
+    rivals: dict[int, Rival] | None = None,
 ) -> list[Any]:
     """Return pycolmap's reconstructions of the views in a database, the largest first."""
     cache, mapper, options = _open_mapper(database, calibrate)
@@ -51,7 +54,9 @@ def grow_models(
         if model is None:
             break
         if calibrate == "nothing":
-            model = _choose_motion(cache, mapper, scorer, options, model, remaining)
+            model, rival = _choose_motion(cache, mapper, scorer, options, model, remaining)
+            if rivals is not None and rival is not None:
+                rivals[min(model.reg_image_ids())] = rival
         remaining -= set(model.reg_image_ids())
         models.append(model)
     return sorted(models, key=lambda model: (-model.num_reg_images(), min(model.reg_image_ids())))
@@ -169,20 +174,38 @@ def _build_model(
 
 def _choose_motion(
     cache: Any, mapper: Any, scorer: Scorer, options: Any, model: Any, remaining: set[int]
-) -> Any:
+) -> tuple[Any, Rival | None]:
     """Return a model, or the model with the other motion of a plane, if it explains more matches.
 
-    A first pair of views of a plane allows two motions, and RANSAC may choose the wrong one.
+    A first pair of views of a plane allows two motions, and RANSAC may choose the wrong one. The
+    motion that lost is returned as well if it explains nearly as much.
     """
     view_ids = sorted(model.reg_image_ids())
     poses = np.array([model.images[view_id].cam_from_world().matrix() for view_id in view_ids])
     points = np.array([point.xyz for point in model.points3D.values()]).reshape(-1, 3)
     other_poses = find_other_motion(poses, points)
     if other_poses is None:
-        return model
+        return model, None
     known_poses = dict(zip(view_ids, other_poses, strict=True))
     other = _continue_from(cache, mapper, options, known_poses, remaining, are_poses_fixed=False)
-    return max(model, other, key=scorer.score)
+    scores = {id(each): scorer.score(each) for each in (model, other)}
+    loser, winner = sorted((model, other), key=lambda each: scores[id(each)])
+    count = scorer.match_count(set(winner.reg_image_ids()))
+    losses = [count - scores[id(each)] for each in (winner, loser)]
+    return winner, _find_near_rival(winner, loser, losses[1] / max(losses[0], 1e-9))
+
+
+def _find_near_rival(winner: Any, loser: Any, loss: float) -> Rival | None:
+    """Return the motion of a model that lost; None if it clearly lost."""
+    view_ids = sorted(set(winner.reg_image_ids()) & set(loser.reg_image_ids()))
+    if loss > MAPPING.max_rival_loss or len(view_ids) < 2:
+        return None
+    poses, other_poses = (
+        np.array([each.images[view_id].cam_from_world().matrix() for view_id in view_ids])
+        for each in (winner, loser)
+    )
+    rival = compare_motions(poses, other_poses, loss)
+    return rival if rival.direction > MAPPING.min_rival_direction else None
 
 
 def _add_views(

@@ -20,6 +20,7 @@ from tisfm.reconstruction.mapping.database import (
 )
 from tisfm.reconstruction.mapping.incremental import grow_from_poses, grow_models, shows_parallax
 from tisfm.reconstruction.mapping.model_scores import Coverage, MatchScorer
+from tisfm.reconstruction.mapping.rival import Rival
 from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.result.calibration import Calibrate
 from tisfm.reconstruction.tracks.tracker import Observations
@@ -40,6 +41,7 @@ class Model:
     # Sum of the scores of the matches of its views (`MatchScorer`). It is 0 for a model that is
     # joined from submaps (models of parts of the sequence) or continues an earlier model.
     score: float = 0.0
+    rival: Rival | None = None  # the motion that lost, if it came near
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +82,12 @@ class ViewGraph:
         }
         return replace(self, views=self.views[first:last], pairs=pairs)
 
-    def grow_models(self, camera: Camera, calibrate: Calibrate = "nothing") -> list[Any]:
+    def grow_models(
+        self,
+        camera: Camera,
+        calibrate: Calibrate = "nothing",
+        rivals: dict[int, Rival] | None = None,  # filled, as in `incremental.grow_models`
+    ) -> list[Any]:
         """Return pycolmap's reconstructions, the largest first.
 
         Each reconstruction has the focal length of the camera, or its own estimate, and a radial
@@ -88,7 +95,7 @@ class ViewGraph:
         the static scene. So if much of the area of the frames is unexplained, other models are
         built from the unexplained matches. They replace the first models if they explain more area.
         """
-        models = self._build_models(self.pairs, camera, calibrate)
+        models = self._build_models(self.pairs, camera, calibrate, rivals)
         coverage = Coverage(self.views, self.pairs, self.shape)
         explained_matches = coverage.explained_matches(models)
         while models and coverage.explained_area(explained_matches) < MAPPING.min_coverage:
@@ -104,15 +111,23 @@ class ViewGraph:
                 for pair, indices in unexplained.items()
                 if len(indices) >= MAPPING.min_observations
             }
-            other_models = self._build_models(unexplained, camera, calibrate)
+            other_rivals: dict[int, Rival] = {}
+            other_models = self._build_models(unexplained, camera, calibrate, other_rivals)
             other_matches = coverage.explained_matches(other_models)
             if coverage.explained_area(other_matches) <= coverage.explained_area(explained_matches):
                 break
             models, explained_matches = other_models, other_matches
+            if rivals is not None:
+                rivals.clear()
+                rivals.update(other_rivals)
         return models
 
     def _build_models(
-        self, pairs: Mapping[tuple[int, int], np.ndarray], camera: Camera, calibrate: Calibrate
+        self,
+        pairs: Mapping[tuple[int, int], np.ndarray],
+        camera: Camera,
+        calibrate: Calibrate,
+        rivals: dict[int, Rival] | None,
     ) -> list[Any]:
         directions = MatchDirections(self.views, pairs, camera, self.shape)
         adjusted_camera = colmap_camera(camera, self.shape, calibrate)
@@ -124,6 +139,7 @@ class ViewGraph:
                 MatchScorer(self.views, pairs, self.shape),
                 calibrate,
                 is_focal_known=self.is_focal_known,
+                rivals=rivals,
             )
 
     def shows_parallax(self, camera: Camera) -> bool:
@@ -185,7 +201,10 @@ def find_models(
     incremental mapping, with pycolmap's steps.
     """
     graph = ViewGraph.from_views(views, matches, shape, is_focal_known=is_focal_known)
-    return graph.make_models(graph.grow_models(camera), views, camera)
+    rivals: dict[int, Rival] = {}
+    models = graph.make_models(graph.grow_models(camera, rivals=rivals), views, camera)
+    rival_of_frame = {graph.views[number - 1].frame: rival for number, rival in rivals.items()}
+    return [replace(model, rival=rival_of_frame.get(min(model.poses))) for model in models]
 
 
 def continue_model(

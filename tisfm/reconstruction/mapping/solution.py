@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tisfm.camera import Camera
+from tisfm.reconstruction.mapping.rival import Rival
 from tisfm.reconstruction.mapping.settings import MAPPING
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View
@@ -61,6 +62,7 @@ class Piece:
     # Whether the camera only turns. Then its positions are unknown: poses have the position 0, and
     # there are no points.
     only_turns: bool = False
+    rival: Rival | None = None  # the motion that lost when the piece was found, if it came near
 
 
 @dataclass(frozen=True, kw_only=True)

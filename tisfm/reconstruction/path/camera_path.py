@@ -34,6 +34,16 @@ class CameraPath:
     score: float = 0.0  # as for `PathSolution`
     # why the camera cannot be right, and what to do; "" if nothing says so
     objection: str = ""
+    # why the camera is perhaps wrong, and what to do; "" if nothing says so
+    doubt: str = ""
+
+    @property
+    def doubts(self) -> list[str]:
+        """What makes each piece doubtful; "" for a piece without doubts."""
+        return [
+            "; ".join(filter(None, [piece.rival.message if piece.rival else "", self.doubt]))
+            for piece in self.pieces
+        ]
 
     @property
     def pieces_with_positions(self) -> list[Piece]:

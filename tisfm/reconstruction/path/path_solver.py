@@ -298,7 +298,9 @@ class PathSolver:
 
 def make_piece(model: Model) -> Piece:
     """Return the views and points of a model as a piece of the path."""
-    return Piece(poses=model.poses, views=tuple(model.poses), points=model.points)
+    return Piece(
+        poses=model.poses, views=tuple(model.poses), points=model.points, rival=model.rival
+    )
 
 
 def find_path(

@@ -43,8 +43,13 @@ def check_piece(
     inverse_depth: Callable[[int], np.ndarray | None],  # frame → (H, W)
     camera: Camera,  # pinhole camera of the frames
     kept_flow: KeptFlow = lambda _: None,
+    joints: Sequence[int] = (),  # first frames of parts that were joined to the part before them
 ) -> PathCheck:
-    """Check a piece of a path by pairs of its frames; each pair is checked once."""
+    """Check a piece of a path by pairs of its frames; each pair is checked once.
+
+    The pair of frames on both sides of a joint is a part of the check of its own: the parts of the
+    piece share no tracks, so one wrong joint would hide among right pairs.
+    """
     checked: set[frozenset[int]] = set()
     pairs = []
     for first in choose_first_frames(list(poses), keyframes):
@@ -55,7 +60,17 @@ def check_piece(
         pair = check_pair(first, second, poses, grey, is_static, camera, inverse_depth, kept_flow)
         if pair is not None:
             pairs.append(pair)
-    return check_with_pairs(pairs, poses, grey, camera)
+    check = check_with_pairs(pairs, poses, grey, camera)
+    beside = [(max(frame for frame in poses if frame < joint), joint) for joint in joints]
+    across = (
+        check_pair(*sides, poses, grey, is_static, camera, kept_flow=kept_flow) for sides in beside
+    )
+    parts = [
+        PathCheck(pairs=(pair,), fixed_share=0.0, infinity_motion=0.0)
+        for pair in across
+        if pair is not None
+    ]
+    return PathCheck.joined([check, *parts])
 
 
 def check_pair(

@@ -133,8 +133,10 @@ class PathCheck:
         Motion of points at infinity, px of frames shrunk for flow: fixed texture is seen only if
         it is large.
     parts : tuple of PathCheck
-        If chunks of frames were joined to the piece, the check of each chunk. If one of them
-        contradicts its part of the path, the whole piece is contradicted. Empty for one part.
+        If chunks of frames were joined to the piece, the check of each chunk. If the images joined
+        parts without common tracks, the check of the piece, and of the pair across each joint. If
+        one of them contradicts its part of the path, the whole piece is contradicted. Empty for one
+        part.
 
     Examples
     --------
@@ -271,7 +273,7 @@ class PathCheck:
             return ""
         if self.parts:
             doubted = next(part for part in self.parts if part.doubt)
-            return f"a chunk of the frames{doubted.span_text}: {doubted.doubt}"
+            return f"a part of the frames{doubted.span_text}: {doubted.doubt}"
         return (
             "depth has another order than the image motion between the frames (rank correlation "
             f"{self.median('rank'):.2f})"
@@ -290,7 +292,7 @@ class PathCheck:
             return ""
         if self.parts:
             wrong_part = next(part for part in self.parts if part.contradicts)
-            return f"a chunk of the frames{wrong_part.span_text}: {wrong_part.message}"
+            return f"a part of the frames{wrong_part.span_text}: {wrong_part.message}"
         objections = self.objections
         if "fixed" in objections:
             return (

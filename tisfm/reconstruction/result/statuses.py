@@ -109,6 +109,20 @@ def mark_contradicted(
     return tuple(marked)
 
 
+def mark_doubtful(
+    statuses: Sequence[Status],
+    pieces: Sequence[int],  # piece of each frame, −1 for none
+    doubts: Sequence[str],  # what makes each piece doubtful; "" if nothing does
+) -> tuple[Status, ...]:
+    """Return the statuses of frames: frames of a doubtful piece are uncertain."""
+    return tuple(
+        _keep_notes(Status("uncertain", doubts[piece]), status)
+        if piece >= 0 and doubts[piece] and status == "converged"
+        else status
+        for status, piece in zip(statuses, pieces, strict=True)
+    )
+
+
 def mark_uncertain(
     statuses: Sequence[Status],
     errors: np.ndarray,  # (N,): expected relative errors of depth, NaN without depth

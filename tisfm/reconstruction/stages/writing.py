@@ -11,12 +11,17 @@ from tisfm.reconstruction.result.folder import read_depth, write_mask, write_rec
 from tisfm.reconstruction.result.moving_object import MovingObject
 from tisfm.reconstruction.result.path_check import PathCheck
 from tisfm.reconstruction.result.reconstruction import Reconstruction
-from tisfm.reconstruction.result.statuses import mark_contradicted, mark_uncertain
+from tisfm.reconstruction.result.statuses import (
+    mark_contradicted,
+    mark_doubtful,
+    mark_uncertain,
+)
 from tisfm.reconstruction.stages.checks import find_contradiction_causes
 from tisfm.reconstruction.stages.depth import DepthResult
 from tisfm.reconstruction.stages.job import Job
 from tisfm.reconstruction.stages.path import PathResult
 from tisfm.reconstruction.stages.reading import ReadingResult
+from tisfm.status import Status
 from tisfm.version import __version__
 
 
@@ -57,16 +62,7 @@ def write_result(
         unit=(1.0,) * len(path_result.path.pieces),
         position_deviation=depth.position_deviation,
         rotation_deviation=depth.rotation_deviation,
-        status=mark_uncertain(
-            mark_contradicted(
-                depth.status,
-                depth.piece.tolist(),
-                checks,
-                find_contradiction_causes(reading.frames, path_result.path, checks),
-                path_result.path.objection,
-            ),
-            errors,
-        ),
+        status=_find_statuses(reading, path_result.path, depth, checks, errors),
         depth_error=errors,
         depth_share=shares,
         checks=checks,
@@ -88,6 +84,20 @@ def write_result(
         write_mask(job.folder, path_result.fixed_pixels)
     write_record(job.folder, result)
     return result
+
+
+def _find_statuses(
+    reading: ReadingResult,
+    path: CameraPath,
+    depth: DepthResult,
+    checks: tuple[PathCheck, ...],
+    errors: np.ndarray,  # (N,): expected relative errors of depth, NaN without depth
+) -> tuple[Status, ...]:
+    """Return the statuses of frames: the checks, doubts and deviations may change them."""
+    pieces = depth.piece.tolist()
+    causes = find_contradiction_causes(reading.frames, path, checks)
+    statuses = mark_contradicted(depth.status, pieces, checks, causes, path.objection)
+    return mark_uncertain(mark_doubtful(statuses, pieces, path.doubts), errors)
 
 
 def _known_positions(path: CameraPath, depth: DepthResult) -> tuple[np.ndarray, np.ndarray]:
