@@ -44,7 +44,7 @@ class DepthSettings:
     # TartanAir.
     contour_distance: int = 10  # of the contour behind a fattened match
     surface_distance: int = 24  # at which the depth of both surfaces is taken
-    contour_contrast: float = 3.0  # contrast of the contour over that of the edges ahead
+    contour_contrast: float = 2.0  # contrast of the contour over that of the edges ahead
     contour_noise: float = 3.0  # standard deviations of the noise that this difference exceeds
     min_surface_step: float = 0.07  # from the match to the farther surface
     max_contour_difference: float = 0.04  # from the match to the nearer surface
