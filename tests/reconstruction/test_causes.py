@@ -298,7 +298,7 @@ def test_doubt_beside_what_misleads_tracks_is_a_contradiction(cause, contradicte
 def test_doubt_of_a_chunk():
     part = DoubtedCheck(pairs=(), fixed_share=0.0, infinity_motion=0.0)
     joined = PathCheck.joined([UNCHECKED, part])
-    assert "chunk" in joined.doubt and part.doubt in joined.doubt
+    assert "a part of the frames" in joined.doubt and part.doubt in joined.doubt
     assert UNCHECKED.doubt == ""
 
 

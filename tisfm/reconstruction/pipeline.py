@@ -14,13 +14,14 @@ from tisfm.reconstruction.stages.checks import check_pieces
 from tisfm.reconstruction.stages.depth import find_depth
 from tisfm.reconstruction.stages.job import Job
 from tisfm.reconstruction.stages.moving_pixels import mask_moving_pixels
+from tisfm.reconstruction.stages.other_starts import start_elsewhere
 from tisfm.reconstruction.stages.path import find_calibration, solve_path, warn_of_camera
 from tisfm.reconstruction.stages.reading import read_frames
 from tisfm.reconstruction.stages.writing import write_result
 
 
 def reconstruct_sequence(job: Job) -> Reconstruction:
-    """Run all stages; again without the pixels that move, if they contradict the path."""
+    """Run all stages; again from another start, or without moving pixels, if checks object."""
     reading = read_frames(job)
     path_result = solve_path(job, reading)
     calibration = find_calibration(job, reading, path_result)
@@ -28,6 +29,11 @@ def reconstruct_sequence(job: Job) -> Reconstruction:
         warn_of_camera(calibration)
     depth = find_depth(job, reading, path_result.path, calibration.relative_focal_std)
     checks = check_pieces(job, reading.frames, path_result.path, depth)
+    restarted = start_elsewhere(job, reading, path_result, checks)
+    if restarted is not None:
+        path_result = restarted
+        depth = find_depth(job, reading, path_result.path, calibration.relative_focal_std)
+        checks = check_pieces(job, reading.frames, path_result.path, depth)
     masked = mask_moving_pixels(job, reading, path_result, checks)
     if masked is not None:
         path_result = masked.result

@@ -38,6 +38,11 @@ class CameraPath:
     doubt: str = ""
 
     @property
+    def is_plain(self) -> bool:
+        """Whether it has neither a lens, a zoom nor a readout."""
+        return self.camera.is_pinhole and self.rolling is None and self.zoom is None
+
+    @property
     def doubts(self) -> list[str]:
         """What makes each piece doubtful; "" for a piece without doubts."""
         return [

@@ -53,6 +53,9 @@ class PathSolver:
     # Whether pieces are joined by their images. The images have to belong to the tracks: tracks
     # without a zoom, for instance, differ from images with it.
     joins_pieces: bool = True
+    # By frame, (4, 4) camera to world, of two views: the poses that a path without calibration
+    # begins with; None if it begins with a pair that its tracks show
+    start: Mapping[int, np.ndarray] | None = None
 
     def solve(
         self,
@@ -100,6 +103,8 @@ class PathSolver:
     ) -> tuple[list[Model], FocalEstimate | None]:
         """Return the models of views, and the estimated focal length or None."""
         shape = self.tracks.shape
+        if self.start is not None:
+            return readjust_models(views, matches, camera, shape, [self.start]), None
         if calibrate != "nothing":
             return find_models_and_focal(
                 views, matches, camera, shape, calibrate, max_deviation=self.max_deviation

@@ -23,6 +23,7 @@ class PathCheckSettings:
     min_kept_tracks: float = 0.5
     # a pair that goes back in time has to be nearer to the wanted motion by this, logarithm
     backward_cost: float = 0.5
+    max_starts: int = 3  # dense motions of two views that a contradicted path begins with again
     # dense_pairs
     # grey levels per px, squared: smaller eigenvalue of the structure tensor at textured pixels
     min_texture: float = 9.0

@@ -43,7 +43,8 @@ def mask_moving_pixels(
     image motion of the other pixels contradicts the new path, too. Otherwise the depth of the first
     path is deleted.
     """
-    if not (job.revises_camera and _is_plain(first.path) and may_show_objects(checks)):
+    is_plain = first.path.is_plain and not first.path.objection
+    if not (job.revises_camera and is_plain and may_show_objects(checks)):
         return None
     frames = reading.frames
     job.progress("path", 0, frames.count)  # the stage begins again
@@ -80,12 +81,6 @@ def may_show_objects(checks: Sequence[PathCheck]) -> bool:
     return bool(contradicted) and all(
         _CAUSED_BY_OBJECTS.issuperset(check.objections) for check in contradicted
     )
-
-
-def _is_plain(path: CameraPath) -> bool:
-    """Return whether a path has neither a lens, a zoom nor a readout, and no objection to them."""
-    has_lens = not path.camera.is_pinhole
-    return not (has_lens or path.objection) and path.rolling is None and path.zoom is None
 
 
 def _fits(frames: PreparedFrames, path: CameraPath) -> bool:
