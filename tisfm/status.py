@@ -47,7 +47,9 @@ class Status(str):
     - ``"uncertain"``: the camera moved so little that depth is rough; with ``motion="camera"`` also
       if half of the depth is expected to be off by more than 10 %, if much of it has a large
       deviation, if regions of the image do not move as one rigid motion lets them, if the
-      direction of motion is hardly known, or if the result depends on a guessed focal length.
+      direction of motion is hardly known, or if the result depends on a guessed focal length; of a
+      frame of a sequence also if two motions of a plane fit its tracks equally well, or if a zoom
+      fits them beside a focal length that is not known well.
     - ``"two_motions"``: two motions explain the frames equally well, because the frames show one
       plane or are far apart; depth follows from one of the motions.
     - ``"contradicted"``: the image motion contradicts the camera, because another focal length, a

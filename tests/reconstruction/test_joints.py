@@ -14,6 +14,7 @@ from tisfm.reconstruction.geometry.sim3 import transform_pose
 from tisfm.reconstruction.joints import joint_search
 from tisfm.reconstruction.joints.alignment import Aligner
 from tisfm.reconstruction.joints.joint_search import find_joint, join_pieces
+from tisfm.reconstruction.mapping.rival import Rival
 from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.path.path_solver import PathSolver
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracks
@@ -70,8 +71,9 @@ def two_pieces(film, gap=1, *, other=None):
 def test_pieces_are_joined(gap):
     film = films.walk(COUNT)
     pieces, observations = two_pieces(film, gap)
+    pieces[1] = replace(pieces[1], rival=Rival(loss=1.0, direction=40.0, rotation=2.0))
     joined = join_pieces(pieces, observations, film.camera, film.frames.__getitem__)
-    assert len(joined) == 1
+    assert len(joined) == 1 and joined[0].rival == pieces[1].rival
     assert sorted(joined[0].poses) == sorted({*pieces[0].poses, *pieces[1].poses})
     assert set(joined[0].points) == {*pieces[0].points, *pieces[1].points}
     depth = np.median(film.depth[0])

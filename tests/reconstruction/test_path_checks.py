@@ -344,7 +344,7 @@ def test_pair_across_a_joint_is_checked_on_its_own(turn, contradicts):
     }
     check = pieces.check_piece(
         poses, (), tracks, film().frames.__getitem__, lambda _: np.ones((HEIGHT, WIDTH), bool),
-        lambda _: None, film().camera, joints=(joint,),
+        lambda _: None, film().camera, views=(0, 5, 6, 9), joints=(joint,),
     )  # fmt: skip
     first, across = check.parts
     assert len(first.pairs) >= 2 and not first.contradicts

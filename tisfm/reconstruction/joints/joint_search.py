@@ -267,5 +267,6 @@ def _merge(earlier: Piece, later: Piece, similarity: np.ndarray) -> Piece:
         poses={**earlier.poses, **moved},
         views=(*earlier.views, *later.views),
         joints=(*earlier.joints, min(later.poses), *later.joints),
+        rival=earlier.rival or later.rival,
         points=moved_points | TrackPoints.from_mapping(earlier.points),
     )

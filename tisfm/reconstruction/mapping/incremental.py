@@ -189,7 +189,7 @@ def _choose_motion(
     known_poses = dict(zip(view_ids, other_poses, strict=True))
     other = _continue_from(cache, mapper, options, known_poses, remaining, are_poses_fixed=False)
     scores = {id(each): scorer.score(each) for each in (model, other)}
-    loser, winner = sorted((model, other), key=lambda each: scores[id(each)])
+    winner, loser = (model, other) if scores[id(model)] >= scores[id(other)] else (other, model)
     count = scorer.match_count(set(winner.reg_image_ids()))
     losses = [count - scores[id(each)] for each in (winner, loser)]
     return winner, _find_near_rival(winner, loser, losses[1] / max(losses[0], 1e-9))

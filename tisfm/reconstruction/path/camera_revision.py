@@ -51,7 +51,7 @@ def revise_path(
     """Return the path with the zoom or the distortion that its tracks show.
 
     Otherwise the path itself is returned, with an objection if its camera does not fit its tracks,
-    or with a doubt if its focal length is a guess.
+    or with a doubt if its focal length is not known well.
     """
     if not REVISION.min_views <= count_views(path) <= SUBMAPS.max_views:
         return path
@@ -69,8 +69,9 @@ def revise_path(
     if revised.objection or not revised.camera.is_pinhole:
         return revised
     objection = object_to_hidden_zoom(find_hidden_zoom(windows, free))
-    if solver.calibrate != "nothing" and not (path.focal and path.focal.is_certain):
-        # A wrong guess of the focal length may look like a zoom: that is no contradiction.
+    is_certain = solver.is_focal_known if path.focal is None else path.focal.is_certain
+    if not is_certain:
+        # A wrong focal length may look like a zoom: that is no contradiction.
         return replace(revised, doubt=objection)
     return replace(revised, objection=objection)
 

@@ -128,7 +128,11 @@ class PathSolver:
             )
         else:
             start_poses = [{frame: piece.poses[frame] for frame in piece.views} for piece in pieces]
-            models = readjust_models(views, matches, camera, shape, start_poses)
+            rivals = {min(piece.views): piece.rival for piece in pieces if piece.views}
+            models = [
+                replace(model, rival=rivals.get(min(model.poses)))
+                for model in readjust_models(views, matches, camera, shape, start_poses)
+            ]
         return self._solve_from_models(models, views, observations, camera)
 
     def find_missing(

@@ -1,6 +1,7 @@
 """All checks of a piece of a path."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import cv2
@@ -43,12 +44,13 @@ def check_piece(
     inverse_depth: Callable[[int], np.ndarray | None],  # frame → (H, W)
     camera: Camera,  # pinhole camera of the frames
     kept_flow: KeptFlow = lambda _: None,
+    views: Sequence[int] = (),  # frames that tracks placed in their part of the piece
     joints: Sequence[int] = (),  # first frames of parts that were joined to the part before them
 ) -> PathCheck:
     """Check a piece of a path by pairs of its frames; each pair is checked once.
 
-    The pair of frames on both sides of a joint is a part of the check of its own: the parts of the
-    piece share no tracks, so one wrong joint would hide among right pairs.
+    The pair of frames on both sides of a joint is a part of the check of its own: one wrong joint
+    would hide among right pairs. One pair shows no zoom, as nothing tells its error.
     """
     checked: set[frozenset[int]] = set()
     pairs = []
@@ -61,12 +63,13 @@ def check_piece(
         if pair is not None:
             pairs.append(pair)
     check = check_with_pairs(pairs, poses, grey, camera)
-    beside = [(max(frame for frame in poses if frame < joint), joint) for joint in joints]
+    # Frames between two parts may have poses from either part: the last view is in the earlier one.
+    beside = [(max(view for view in views if view < joint), joint) for joint in joints]
     across = (
         check_pair(*sides, poses, grey, is_static, camera, kept_flow=kept_flow) for sides in beside
     )
     parts = [
-        PathCheck(pairs=(pair,), fixed_share=0.0, infinity_motion=0.0)
+        PathCheck(pairs=(replace(pair, zoom=0.0),), fixed_share=0.0, infinity_motion=0.0)
         for pair in across
         if pair is not None
     ]

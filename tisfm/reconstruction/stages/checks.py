@@ -69,6 +69,7 @@ def _check_piece(
         inverse_depth,
         camera,
         frames.kept_flow,
+        piece.views,
         piece.joints,
     )
 

@@ -71,7 +71,8 @@ def mask_moving_pixels(
         return None
     for number in range(frames.count):
         depth_path(job.folder, number).unlink(missing_ok=True)
-    result = replace(result, fixed_pixels=first.fixed_pixels)
+    path = replace(result.path, doubt=first.path.doubt)  # the second search has no look for zooms
+    result = replace(result, path=path, fixed_pixels=first.fixed_pixels)
     return MaskedPath(result=result, moving_shares=shares)
 
 

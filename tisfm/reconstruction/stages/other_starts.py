@@ -22,6 +22,7 @@ from tisfm.reconstruction.stages.checks import check_path
 from tisfm.reconstruction.stages.job import Job
 from tisfm.reconstruction.stages.path import PathResult
 from tisfm.reconstruction.stages.reading import ReadingResult
+from tisfm.reconstruction.submaps.settings import SUBMAPS
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracks
 
 
@@ -30,33 +31,57 @@ def start_elsewhere(
 ) -> PathResult | None:
     """Return a path that begins with the dense motion of two views, and that no check contradicts.
 
-    The result is None if the checks do not contradict the direction of the first path, or if they
-    contradict each new path, too. Otherwise the depth of the first path is deleted.
+    The result is None if the checks do not contradict the direction of the first path, if its focal
+    length is an estimate, or if they contradict each new path, too. Otherwise the depth of the
+    first path is deleted.
     """
     tracks, path = reading.tracks, first.path
     if not job.revises_camera or tracks is None or first.fixed_pixels is not None:
         return None
-    if not path.is_plain or len(path.pieces) != 1 or not is_direction_wrong(checks[0]):
+    # A focal length that was estimated with the wrong motion is wrong, too.
+    is_simple = path.is_plain and path.focal is None and len(tracks.views) <= SUBMAPS.max_views
+    if not is_simple or len(path.pieces) != 1 or path.pieces[0].joints:
+        return None
+    if not is_direction_wrong(checks[0]):
         return None
     frames = reading.frames
-    for start in _find_starts(frames, tracks, path, checks[0]):
+    job.progress("path", 0, frames.count)  # the stage begins again
+    new_path = _find_other_path(reading, tracks, path, checks[0])
+    job.progress("path", frames.count, frames.count)
+    if new_path is None:
+        return None
+    for number in range(frames.count):
+        depth_path(job.folder, number).unlink(missing_ok=True)
+    return replace(first, path=new_path)
+
+
+def _find_other_path(
+    reading: ReadingResult, tracks: SequenceTracks, path: CameraPath, check: PathCheck
+) -> CameraPath | None:
+    """Return the first path from another start that no check contradicts, or None."""
+    frames = reading.frames
+    for start in _find_starts(frames, path, check):
         solver = PathSolver(
             tracks=tracks,
             camera=path.camera,
             readout=0.0,
+            is_focal_known=reading.camera.is_focal_known,
             grey=lambda frame: frames.tracker_input(frame)[0],
             start=start,
         )
         new_path = solver.solve(reading.instants)
-        is_whole = len(new_path.pieces) == 1 and not new_path.missing.keys() - path.missing.keys()
-        if not is_whole or check_path(frames, new_path)[0].contradicts:
+        is_whole = len(new_path.pieces_with_positions) == 1 == len(new_path.pieces)
+        if not is_whole or new_path.missing.keys() - path.missing.keys():
             continue
-        new_path = replace(new_path, focal=path.focal)
+        (new_check,) = check_path(frames, new_path)
+        if new_check.contradicts or "direction" in new_check.objections or not new_check.pairs:
+            continue
+        # A plane leaves its second motion possible for the new start, too.
+        piece = replace(new_path.pieces[0], rival=path.pieces[0].rival)
+        new_path = replace(new_path, pieces=(piece,))
         revised = revise_path(new_path, solver, reading.instants, may_distort=False)
         if revised.is_plain and not revised.objection:
-            for number in range(frames.count):
-                depth_path(job.folder, number).unlink(missing_ok=True)
-            return replace(first, path=revised)
+            return revised
     return None
 
 
@@ -66,14 +91,13 @@ def is_direction_wrong(check: PathCheck) -> bool:
 
 
 def _find_starts(
-    frames: PreparedFrames, tracks: SequenceTracks, path: CameraPath, check: PathCheck
+    frames: PreparedFrames, path: CameraPath, check: PathCheck
 ) -> Iterator[Mapping[int, np.ndarray]]:
     """Yield the poses of two views, by frame, from their dense motion.
 
-    The pairs that contradict the path most come first: there the dense motion has the most
-    parallax over the deviation of its direction.
+    Pairs with much parallax and a small deviation of its direction come first.
     """
-    views = np.array([view.frame for view in tracks.views])
+    views = np.array(path.pieces[0].views)
     pairs = sorted(check.pairs, key=lambda pair: -pair.parallax / max(pair.direction_deviation, 1))
     tried: set[tuple[int, int]] = set()
     for pair in pairs:
