@@ -10,6 +10,7 @@ from tisfm.motion.estimate import Estimate, make_depthless_estimate, make_estima
 from tisfm.motion.first_motion import FirstMotion, first_motion
 from tisfm.motion.fixed_pixels import find_fixed_pixels
 from tisfm.motion.focal_evidence import FocalEvidence
+from tisfm.motion.global_depth import explains_better, global_depth
 from tisfm.motion.plane_sweep import PlaneSweep
 from tisfm.motion.rigid_depth import Refinement, RigidSolution, rigid_depth, scaled_translations
 from tisfm.motion.settings import DEPTH
@@ -124,6 +125,10 @@ def camera_estimate(
             else joint_solution or estimate_jointly(level)
         )
         flow_residual = start.residual
+    if sweep.is_needed:
+        candidate = global_depth(pyramid, settings, motions[0], refine=refine)
+        if candidate is not None and explains_better(pyramid, candidate, solution):
+            solution, flow_residual = candidate, start.residual
     estimate = make_estimate(
         solution, labels, camera, settings, unit=unit, flow_residual=flow_residual
     )

@@ -165,6 +165,31 @@ class DepthSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class GlobalDepthSettings:
+    """Depth of frames far apart, searched along whole epipolar lines."""
+
+    range_pixels: int = 2**15  # pixels of the level on which the range of depths is searched
+    max_parallax: float = 0.5  # longer sides: largest D of the search
+    # longer sides: largest parallax from which frames are far apart
+    min_parallax: float = 0.1
+    range_percentile: float = 99.0  # percentile of matched D that bounds the fine search
+    range_margin: float = 0.3  # share by which the fine search exceeds it
+    min_matched_share: float = 0.1  # share of the pixels that match, on the coarse level
+    cost_factor: float = 2.0  # factor of the share of differing bits
+    step_cost: float = 0.3  # cost of a change between neighbours by one hypothesis
+    jump_cost: float = 4.0  # cost of a larger change
+    # |ΔI| between neighbours at which a jump costs half, divided by the mean |ΔI|
+    edge_steps: float = 2.0
+    max_disagreement: float = 1.0  # px between D of both directions
+    min_region: int = 40  # connected pixels of a reliable region
+    region_step: float = 1.5  # px: largest step of D within a region
+    line_step: float = 1.0  # px of D: step that shows the direction of an epipolar line
+    median_window: int = 5  # px: side of the window of the median of filled depth
+    # gain of mean correlation from which this depth replaces depth from coarse to fine
+    min_correlation_gain: float = 0.01
+
+
+@dataclass(frozen=True, kw_only=True)
 class SparseSettings:
     """Motion from matched points, for frames too distant for a flow field."""
 
@@ -397,6 +422,7 @@ class CheckSettings:
 
 EGOMOTION = EgomotionSettings()
 DEPTH = DepthSettings()
+GLOBAL = GlobalDepthSettings()
 SPARSE = SparseSettings()
 PROPOSALS = ProposalSettings()
 PREVIOUS = PreviousFrameSettings()

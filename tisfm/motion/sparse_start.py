@@ -153,7 +153,7 @@ class _SweptMotion:
             np.zeros_like(guess),
             valid=pyramid.valid_on(level),
         )
-        self.flow = _flow(depth, scaled_pose, camera)
+        self.flow = depth_flow(depth, scaled_pose, camera)
         correlations = correlation(frame0, frame1, self.flow)
         hidden = leaves_image(np.moveaxis(self.flow, -1, 0))
         if pyramid.masks is not None:
@@ -181,7 +181,7 @@ class _SweptMotion:
         )
 
 
-def _flow(depth: np.ndarray, motion: np.ndarray, camera: Camera) -> np.ndarray:
+def depth_flow(depth: np.ndarray, motion: np.ndarray, camera: Camera) -> np.ndarray:
     """Return the flow of pixels with inverse depth D under a motion, (h, w, 2), px/frame."""
     height, width = depth.shape
     cx, cy = camera.center_for(height, width)

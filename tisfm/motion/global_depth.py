@@ -1,0 +1,229 @@
+"""Depth of frames far apart under a known motion: a global search along all epipolar lines.
+
+An estimate from coarse to fine loses things that are smaller than their motion. Here, census
+transforms are compared for all inverse depths up to half of the image, in both directions, with
+semi-global aggregation. Pixels whose matches disagree get the depth of the farther side.
+"""
+
+import cv2
+import numpy as np
+
+from tisfm.camera import Camera
+from tisfm.kernels.layout.lanes import aligned_empty
+from tisfm.kernels.model import MIN_DEPTH_RATIO
+from tisfm.kernels.rigid.census import BITS, WORDS, census_cost
+from tisfm.kernels.rigid.semi_global import UNUSED_COST, aggregate, best_hypothesis
+from tisfm.motion.plane_sweep import MAX_COSTS, MIN_MEAN_STEP
+from tisfm.motion.rigid_depth import Refinement, RigidSolution, rigid_depth
+from tisfm.motion.settings import GLOBAL
+from tisfm.motion.sparse_start import depth_flow
+from tisfm.motion.window_statistics import correlation, texture
+from tisfm.runtime import lanes
+from tisfm.settings import Settings
+from tisfm.solver.image_pyramid import ImagePyramid
+from tisfm.solver.smoothness import mean_step
+from tisfm.visibility.occlusion import leaves_image
+
+REGION_UNITS = 16  # units per px of D for cv2.filterSpeckles, which takes integers
+
+
+def global_depth(
+    pyramid: ImagePyramid,
+    settings: Settings,
+    # (3, 4) array: R and t, as from `tisfm.motion.rigid_depth.scaled_translations`
+    motion: np.ndarray,
+    *,
+    refine: Refinement,  # part of the motion that is refined with depth
+) -> RigidSolution | None:
+    """Return depth from a global search; None if the frames are not far apart."""
+    frames = pyramid.frames0
+    coarse = next(
+        (k for k, frame in enumerate(frames) if frame.size <= GLOBAL.range_pixels), len(frames) - 1
+    )
+    reach = GLOBAL.max_parallax * max(frames[coarse].shape)
+    depth, is_matched = _match(pyramid, coarse, motion, reach)
+    if is_matched.mean() < GLOBAL.min_matched_share:
+        return None
+    high = float(np.percentile(depth[is_matched], GLOBAL.range_percentile)) / pyramid.scales[coarse]
+    if high < GLOBAL.min_parallax * max(pyramid.shape):
+        return None
+    high = min((1 + GLOBAL.range_margin) * high, GLOBAL.max_parallax * max(pyramid.shape))
+    level = next(
+        k
+        for k, frame in enumerate(frames)
+        if k >= coarse or (high * pyramid.scales[k] + 2) * frame.size <= MAX_COSTS
+    )
+    if level < coarse:
+        depth, is_matched = _match(pyramid, level, motion, high * pyramid.scales[level])
+    depth = _fill(depth, is_matched, motion, pyramid.cameras[level])
+    last = pyramid.last
+    size = frames[last].shape[::-1]
+    ratio = np.float32(pyramid.scales[last] / pyramid.scales[level])
+    start = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST) * ratio
+    height, width = pyramid.shape
+    support = cv2.resize(
+        is_matched.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST
+    )
+    return rigid_depth(
+        pyramid,
+        settings,
+        motion[None],
+        np.zeros(pyramid.shape, np.int32),
+        last=last,
+        refine=refine,
+        support=support > 0,
+        start=(last, start),
+    )
+
+
+def explains_better(
+    pyramid: ImagePyramid, candidate: RigidSolution, solution: RigidSolution
+) -> bool:
+    """Return whether the frames correlate better along the flow of a candidate for a solution."""
+    gain = _alignment(pyramid, candidate) - _alignment(pyramid, solution)
+    return gain > GLOBAL.min_correlation_gain
+
+
+def _alignment(pyramid: ImagePyramid, solution: RigidSolution) -> float:
+    """Return the mean correlation of the frames along the flow of a solution, by texture."""
+    frame0, frame1 = pyramid.frames0[0], pyramid.frames1[0]
+    flow = depth_flow(solution.inverse_depth, solution.motions[0], pyramid.cameras[0])
+    components = np.moveaxis(flow, -1, 0)
+    hidden = leaves_image(components)
+    weight = texture(frame0)
+    if pyramid.masks is not None:
+        weight = np.where(pyramid.masks.ignored_pixels(components, 0), 0, weight)
+    correlations = np.where(hidden, 0, correlation(frame0, frame1, flow))
+    return float((weight * correlations).sum() / max(float(weight.sum()), MIN_MEAN_STEP))
+
+
+def _match(
+    pyramid: ImagePyramid,
+    level: int,
+    motion: np.ndarray,  # (3, 4): R and t
+    high: float,  # px of the level: largest D
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return D of every pixel of frame 0, (h, w) float32, and whether both directions agree."""
+    frames = pyramid.frames0[level], pyramid.frames1[level]
+    camera = pyramid.cameras[level]
+    inverse = np.column_stack([motion[:, :3].T, -motion[:, :3].T @ motion[:, 3]])
+    codes = [_census(frame) for frame in frames]
+    count = max(2, min(int(np.ceil(high)) + 1, MAX_COSTS // frames[0].size))
+    depth0 = _sweep(frames[0], *codes, motion, camera, count)
+    depth1 = _sweep(frames[1], *codes[::-1], inverse, camera, count)
+    agrees = _agrees(depth0, depth1, motion, camera)
+    valid = pyramid.valid_on(level)
+    if valid is not None:
+        agrees &= valid[0]
+    units = np.where(agrees, REGION_UNITS * (depth0 + 1), 0).clip(0, np.iinfo(np.int16).max)
+    units = units.astype(np.int16)
+    cv2.filterSpeckles(units, 0, GLOBAL.min_region, int(GLOBAL.region_step * REGION_UNITS))
+    return depth0, units > 0
+
+
+def _census(frame: np.ndarray) -> np.ndarray:
+    """Return the census transform of the 7×7 window around every pixel, (H, W, 2) int32."""
+    height, width = frame.shape
+    side = round((WORDS * BITS + 1) ** 0.5)
+    padded = cv2.copyMakeBorder(frame, *(side // 2,) * 4, cv2.BORDER_REPLICATE)
+    codes = np.zeros((height, width, WORDS), np.int32)
+    shifts = [(dy, dx) for dy in range(side) for dx in range(side) if (dy, dx) != (side // 2,) * 2]
+    for n, (dy, dx) in enumerate(shifts):
+        is_darker = padded[dy : dy + height, dx : dx + width] < frame
+        codes[..., n // BITS] |= is_darker.astype(np.int32) << (n % BITS)
+    return codes
+
+
+def _sweep(
+    guide: np.ndarray,  # (h, w) float32: grey levels
+    # census0, census1: (h, w, 2) int32
+    census0: np.ndarray,
+    census1: np.ndarray,
+    motion: np.ndarray,  # (3, 4): R and t
+    camera: Camera,
+    count: int,  # hypotheses 0, 1, … px
+) -> np.ndarray:  # (h, w) float32: D, px of the level
+    height, width = guide.shape
+    lane_count = lanes()
+    vectors = -(-count // lane_count)
+    plain_shape = (height, width, vectors * lane_count)
+    cost = aligned_empty((height, width, vectors, lane_count) if lane_count > 1 else plain_shape)
+    census_cost(
+        census0,
+        census1,
+        np.ascontiguousarray(motion, np.float32),
+        cost,
+        center=camera.center_for(height, width),
+        focal=camera.focal,
+        first=0.0,
+        step=1.0,
+    )
+    cost *= np.float32(GLOBAL.cost_factor)
+    cost.reshape(plain_shape)[..., count:] = UNUSED_COST
+    total = aligned_empty(cost.shape)
+    unit = max(mean_step(guide, None), MIN_MEAN_STEP)
+    aggregate(
+        cost,
+        np.ascontiguousarray(guide / np.float32(unit)),
+        total,
+        step=GLOBAL.step_cost,
+        jump=GLOBAL.jump_cost,
+        edge=GLOBAL.edge_steps,
+    )
+    best = np.empty((height, width), np.float32)
+    best_hypothesis(total.reshape(plain_shape), best, count=count)
+    return best
+
+
+def _agrees(
+    depth0: np.ndarray, depth1: np.ndarray, motion: np.ndarray, camera: Camera
+) -> np.ndarray:
+    """Return whether D of frame 0 and of frame 1, (h, w), show the same points, (h, w) bool."""
+    height, width = depth0.shape
+    flow = depth_flow(depth0, motion, camera)
+    columns = np.rint(flow[..., 0] + np.arange(width)).astype(np.int64)
+    rows = np.rint(flow[..., 1] + np.arange(height)[:, None]).astype(np.int64)
+    is_inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    cx, cy = camera.center_for(height, width)
+    x, y = (np.arange(width) - cx) / camera.focal, (np.arange(height)[:, None] - cy) / camera.focal
+    z = motion[2, 0] * x + motion[2, 1] * y + motion[2, 2] + depth0 * motion[2, 3] / camera.focal
+    expected = depth0 / np.maximum(z, MIN_DEPTH_RATIO)
+    found = depth1[rows.clip(0, height - 1), columns.clip(0, width - 1)]
+    agrees: np.ndarray = is_inside & (np.abs(found - expected) <= GLOBAL.max_disagreement)
+    return agrees
+
+
+def _fill(
+    depth: np.ndarray,  # (h, w) float32
+    is_matched: np.ndarray,  # (h, w) bool
+    motion: np.ndarray,
+    camera: Camera,
+) -> np.ndarray:
+    """Return D with other pixels filled from the farther one of the matches on both sides.
+
+    The sides are those along the epipolar line, to the nearest axis of the image: a thing hides
+    what is beside it along this line, and what is hidden is farther.
+    """
+    height, width = depth.shape
+    known = np.where(is_matched, depth, np.nan).astype(np.float32)
+    along_rows = np.fmin(_carry(known), _carry(known[:, ::-1])[:, ::-1])
+    along_columns = np.fmin(_carry(known.T).T, _carry(known.T[:, ::-1])[:, ::-1].T)
+    near, far = (
+        depth_flow(np.full_like(depth, value), motion, camera) for value in (0.0, GLOBAL.line_step)
+    )
+    u, v = np.abs(np.moveaxis(far - near, -1, 0))
+    first, second = (
+        np.where(u >= v, *pair)
+        for pair in ((along_rows, along_columns), (along_columns, along_rows))
+    )
+    filled = np.where(np.isnan(first), second, first)
+    filled = np.nan_to_num(filled, nan=float(np.median(depth[is_matched])))
+    result: np.ndarray = cv2.medianBlur(filled.astype(np.float32), GLOBAL.median_window)
+    return result
+
+
+def _carry(values: np.ndarray) -> np.ndarray:
+    """Return an array whose NaN have the last value to their left in the row, (h, w)."""
+    columns = np.where(np.isnan(values), 0, np.arange(values.shape[1]))
+    np.maximum.accumulate(columns, axis=1, out=columns)
+    return np.take_along_axis(values, columns, axis=1)
