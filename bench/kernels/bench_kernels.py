@@ -156,6 +156,7 @@ PLAIN = {
     "rigid.patch_match": ("score", "improve", "plane_disagreement"),
     "rigid.view_search": ("score", "improve", "costs"),
     "rigid.foreground_fattening": ("find_fattened",),
+    "rigid.census": ("census_cost",),
     "rigid.semi_global": ("aggregate", "best_hypothesis"),
     "model.readout": ("rigid_fields",),
 }

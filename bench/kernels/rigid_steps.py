@@ -10,7 +10,14 @@ from bench.shared import problems
 from bench.shared.problems import Problem, in_single_precision
 from tisfm.kernels.layout.lanes import LaneData, aligned_zeros
 from tisfm.kernels.model import MIN_DIVISOR, readout
-from tisfm.kernels.rigid import epipolar, motion_system, plane_sweep, semi_global, shared_depth
+from tisfm.kernels.rigid import (
+    census,
+    epipolar,
+    motion_system,
+    plane_sweep,
+    semi_global,
+    shared_depth,
+)
 from tisfm.reconstruction.depth.settings import DEPTH
 
 DEPTH_WEIGHT = 3.0  # weight of the smoothness of depth while the motion changes
@@ -102,6 +109,20 @@ class DepthOperations(TaichiSide):
         return (
             partial(plane_sweep.matching_cost, *arrays, *arguments, out, **options),
             lambda _: np.moveaxis(out.reshape(p.cost.shape) * p.certain, -1, 0),
+        )
+
+    def census_cost(self) -> Timed:
+        p, out = self.problem, aligned_zeros(self._in_vectors())
+        options = {
+            "center": p.camera.center_for(p.height, p.width),
+            "focal": p.camera.focal,
+            "first": problems.HYPOTHESES[0],
+            "step": problems.HYPOTHESES[1] - problems.HYPOTHESES[0],
+        }
+        motion = p.motions[0].astype(np.float32)
+        return (
+            partial(census.census_cost, *p.census, motion, out, **options),
+            lambda _: np.moveaxis(out.reshape(p.cost.shape) * p.rounds_clearly, -1, 0),
         )
 
     def aggregate(self) -> Timed:
@@ -256,6 +277,16 @@ class DepthReferences(NumpySide):
             guess_difference = np.abs(problems.HYPOTHESES - p.guess[..., None])
             cost += p.trust[..., None] * np.minimum(1, guess_difference / problems.GUESS_TRUNCATION)
             return np.moveaxis(cost * p.certain, -1, 0)
+
+        return run
+
+    def census_cost(self) -> Run:
+        p = self.problem
+        pose = p.motions[0, :, :3], p.motions[0, :, 3]
+
+        def run() -> np.ndarray:
+            cost = reference.census_cost(*p.census, problems.HYPOTHESES, p.camera, *pose)
+            return np.moveaxis(cost * p.rounds_clearly, -1, 0)
 
         return run
 

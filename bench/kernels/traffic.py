@@ -100,6 +100,8 @@ TRAFFIC = {
     "motion_system": Traffic(read=(13, 0), written=(0, 0)),  # constraints, D, labels, b
     # features, guess, weight | costs
     "matching_cost": Traffic(read=(10, 0), written=(len(HYPOTHESES), 0)),
+    # two words of both frames | costs
+    "census_cost": Traffic(read=(4, 0), written=(len(HYPOTHESES), 0)),
     "score": Traffic(read=(6, 0), written=(4, 0)),  # levels, packed levels, planes | planes
     "improve": Traffic(read=(6, 0), written=(4, 0)),
     "views_score": Traffic(read=(5 + VIEWS, 0), written=(4, 0)),  # levels of each other frame

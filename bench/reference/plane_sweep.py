@@ -35,6 +35,31 @@ def matching_cost(
     return np.stack(costs, axis=-1)
 
 
+def census_cost(
+    census0: Array,  # (H, W, 2) int32: 24 bits in each word
+    census1: Array,
+    hypotheses: Array,  # (N,), D = f·d, px/frame
+    camera: Camera,
+    rotation: Array,
+    translation: Array,
+) -> Array:
+    """Return the share of differing bits at the nearest pixel of every hypothesis, (H, W, N).
+
+    It is 1 if the hypothesis moves the pixel out of the image.
+    """
+    height, width = census0.shape[:2]
+    rows, columns = np.mgrid[:height, :width]
+    costs = []
+    for hypothesis in hypotheses:
+        u, v = displacement(np.full((height, width), hypothesis), camera, rotation, translation)
+        x, y = (np.floor(position + 0.5).astype(int) for position in (columns + u, rows + v))
+        is_inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        found = census1[y.clip(0, height - 1), x.clip(0, width - 1)]
+        different = (census0 ^ found).astype(np.uint32)[..., None] >> np.arange(24, dtype=np.uint32)
+        costs.append(np.where(is_inside, (different & 1).sum(axis=(-1, -2)) / 48, 1))
+    return np.stack(costs, axis=-1)
+
+
 def aggregate(cost: Array, guide: Array, *, step: float, jump: float, edge: float) -> Array:
     """Return the sums along four paths of Hirschmüller (2008), eq. 13, (H, W, N).
 

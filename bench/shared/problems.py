@@ -151,6 +151,25 @@ class Problem:
         return in_single_precision(np.random.default_rng(3).uniform(0, 2, shape))
 
     @cached_property
+    def census(self) -> np.ndarray:
+        """Census transforms of both frames; random bits, (2, H, W, 2) int32."""
+        shape = (2, self.height, self.width, 2)
+        return np.random.default_rng(5).integers(0, 2**24, shape, dtype=np.int32)
+
+    @cached_property
+    def rounds_clearly(self) -> np.ndarray:
+        """Whether the target of a hypothesis is clearly nearest to one pixel, (H, W, N)."""
+        rows, columns = np.mgrid[: self.height, : self.width]
+        rotation, translation = self.motions[0, :, :3], self.motions[0, :, 3]
+        is_clear = []
+        for hypothesis in HYPOTHESES:
+            depth = np.full(rows.shape, hypothesis)
+            u, v = reference.displacement(depth, self.camera, rotation, translation)
+            fractions = np.stack([columns + u, rows + v]) % 1
+            is_clear.append((np.abs(fractions - 0.5) > UNCERTAIN_BORDER).all(axis=0))
+        return np.stack(is_clear, axis=-1)
+
+    @cached_property
     def certain(self) -> np.ndarray:
         """Whether the target of a hypothesis is clearly inside or outside the image, (H, W, N)."""
         rows, columns = np.mgrid[: self.height, : self.width]

@@ -89,7 +89,8 @@ def _census_cost(
             column = ti.floor(cx + nearness * (p1 + hypothesis * t1) + 0.5)
             row = ti.floor(cy + nearness * (p2 + hypothesis * t2) + 0.5)
             excess = ti.max(
-                ti.max(0.0 - column, column - (width - 1.0)), ti.max(0.0 - row, row - (height - 1.0))
+                ti.max(0.0 - column, column - (width - 1.0)),
+                ti.max(0.0 - row, row - (height - 1.0)),
             )
             value = 0.0 * hypothesis + 1.0
             for lane in ti.static(range(lanes)):

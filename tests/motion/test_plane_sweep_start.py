@@ -186,9 +186,11 @@ def test_objects_narrower_than_their_motion_are_found(poles, preset):
     assert depth_errors(result.depth, poles.depth, mask=poles.visible).abs_rel < 0.04
 
 
-def test_they_are_lost_without_the_sweep(poles, monkeypatch):
+def test_they_are_lost_without_the_sweep_and_the_global_search(poles, monkeypatch):
+    import tisfm.motion.camera
     import tisfm.motion.plane_sweep
 
+    monkeypatch.setattr(tisfm.motion.camera, "global_depth", lambda *_, **__: None)
     monkeypatch.setattr(tisfm.motion.plane_sweep, "DEPTH", replace(DEPTH, min_sweep_range=np.inf))
     pose = np.eye(4)
     pose[0, 3] = -0.5

@@ -125,8 +125,15 @@ def camera_estimate(
             else joint_solution or estimate_jointly(level)
         )
         flow_residual = start.residual
-    if sweep.is_needed:
-        candidate = global_depth(pyramid, settings, motions[0], refine=refine)
+    # A flow field may miss a small thing altogether; a given motion allows for a search without it.
+    if unit is not None or sweep.is_needed:
+        candidate = global_depth(
+            pyramid,
+            settings,
+            motions[0],
+            found_depth=solution.inverse_depth,
+            refine=refine,
+        )
         if candidate is not None and explains_better(pyramid, candidate, solution):
             solution, flow_residual = candidate, start.residual
     estimate = make_estimate(

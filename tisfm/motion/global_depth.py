@@ -33,19 +33,32 @@ def global_depth(
     # (3, 4) array: R and t, as from `tisfm.motion.rigid_depth.scaled_translations`
     motion: np.ndarray,
     *,
+    found_depth: np.ndarray,  # (H, W) float32: D that was found without this search
     refine: Refinement,  # part of the motion that is refined with depth
 ) -> RigidSolution | None:
-    """Return depth from a global search; None if the frames are not far apart."""
+    """Return depth from a global search.
+
+    Returns None if the frames are not far apart, or if few matches of a coarse level contradict the
+    depth that was found.
+    """
     frames = pyramid.frames0
     coarse = next(
         (k for k, frame in enumerate(frames) if frame.size <= GLOBAL.range_pixels), len(frames) - 1
     )
     reach = GLOBAL.max_parallax * max(frames[coarse].shape)
     depth, is_matched = _match(pyramid, coarse, motion, reach)
+    coarse_found = pyramid.scales[coarse] * cv2.resize(found_depth, depth.shape[::-1])
     if is_matched.mean() < GLOBAL.min_matched_share:
         return None
     high = float(np.percentile(depth[is_matched], GLOBAL.range_percentile)) / pyramid.scales[coarse]
     if high < GLOBAL.min_parallax * max(pyramid.shape):
+        return None
+    if _contradicted_share(depth, is_matched, coarse_found) < GLOBAL.min_contradicted_share:
+        return None
+    coarse_depth = _fill(depth, is_matched, motion, pyramid.cameras[coarse])
+    if _alignment(pyramid, coarse, coarse_depth, motion) < (
+        _alignment(pyramid, coarse, coarse_found, motion) + GLOBAL.min_coarse_gain
+    ):
         return None
     high = min((1 + GLOBAL.range_margin) * high, GLOBAL.max_parallax * max(pyramid.shape))
     level = next(
@@ -76,23 +89,38 @@ def global_depth(
     )
 
 
+def _contradicted_share(
+    # depth, found: (h, w) float32: D of matches and of an estimate, px/frame
+    depth: np.ndarray,
+    is_matched: np.ndarray,  # (h, w) bool
+    found: np.ndarray,
+) -> float:
+    """Return the share of the matched pixels whose depth an estimate does not have nearby."""
+    window = np.ones((3, 3), np.uint8)
+    excess = np.maximum(depth - cv2.dilate(found, window), cv2.erode(found, window) - depth)
+    return float((excess[is_matched] > GLOBAL.contradiction).mean())
+
+
 def explains_better(
     pyramid: ImagePyramid, candidate: RigidSolution, solution: RigidSolution
 ) -> bool:
     """Return whether the frames correlate better along the flow of a candidate for a solution."""
-    gain = _alignment(pyramid, candidate) - _alignment(pyramid, solution)
-    return gain > GLOBAL.min_correlation_gain
+    alignments = [
+        _alignment(pyramid, 0, result.inverse_depth, result.motions[0])
+        for result in (candidate, solution)
+    ]
+    return alignments[0] - alignments[1] > GLOBAL.min_correlation_gain
 
 
-def _alignment(pyramid: ImagePyramid, solution: RigidSolution) -> float:
-    """Return the mean correlation of the frames along the flow of a solution, by texture."""
-    frame0, frame1 = pyramid.frames0[0], pyramid.frames1[0]
-    flow = depth_flow(solution.inverse_depth, solution.motions[0], pyramid.cameras[0])
+def _alignment(pyramid: ImagePyramid, level: int, depth: np.ndarray, motion: np.ndarray) -> float:
+    """Return the mean correlation of the frames along the flow of D, (h, w), by texture."""
+    frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
+    flow = depth_flow(depth, motion, pyramid.cameras[level])
     components = np.moveaxis(flow, -1, 0)
     hidden = leaves_image(components)
     weight = texture(frame0)
     if pyramid.masks is not None:
-        weight = np.where(pyramid.masks.ignored_pixels(components, 0), 0, weight)
+        weight = np.where(pyramid.masks.ignored_pixels(components, level), 0, weight)
     correlations = np.where(hidden, 0, correlation(frame0, frame1, flow))
     return float((weight * correlations).sum() / max(float(weight.sum()), MIN_MEAN_STEP))
 
@@ -107,10 +135,10 @@ def _match(
     frames = pyramid.frames0[level], pyramid.frames1[level]
     camera = pyramid.cameras[level]
     inverse = np.column_stack([motion[:, :3].T, -motion[:, :3].T @ motion[:, 3]])
-    codes = [_census(frame) for frame in frames]
+    code0, code1 = (_census(frame) for frame in frames)
     count = max(2, min(int(np.ceil(high)) + 1, MAX_COSTS // frames[0].size))
-    depth0 = _sweep(frames[0], *codes, motion, camera, count)
-    depth1 = _sweep(frames[1], *codes[::-1], inverse, camera, count)
+    depth0 = _sweep(frames[0], code0, code1, motion, camera, count)
+    depth1 = _sweep(frames[1], code1, code0, inverse, camera, count)
     agrees = _agrees(depth0, depth1, motion, camera)
     valid = pyramid.valid_on(level)
     if valid is not None:
@@ -204,7 +232,6 @@ def _fill(
     The sides are those along the epipolar line, to the nearest axis of the image: a thing hides
     what is beside it along this line, and what is hidden is farther.
     """
-    height, width = depth.shape
     known = np.where(is_matched, depth, np.nan).astype(np.float32)
     along_rows = np.fmin(_carry(known), _carry(known[:, ::-1])[:, ::-1])
     along_columns = np.fmin(_carry(known.T).T, _carry(known.T[:, ::-1])[:, ::-1].T)

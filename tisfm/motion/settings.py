@@ -171,10 +171,16 @@ class GlobalDepthSettings:
     range_pixels: int = 2**15  # pixels of the level on which the range of depths is searched
     max_parallax: float = 0.5  # longer sides: largest D of the search
     # longer sides: largest parallax from which frames are far apart
-    min_parallax: float = 0.1
+    min_parallax: float = 0.08
     range_percentile: float = 99.0  # percentile of matched D that bounds the fine search
     range_margin: float = 0.3  # share by which the fine search exceeds it
     min_matched_share: float = 0.1  # share of the pixels that match, on the coarse level
+    # px of the coarse level: difference from the D around a pixel by which a match contradicts it
+    contradiction: float = 1.0
+    min_contradicted_share: float = 0.03  # share of such matches from which depth is searched
+    # gain of mean correlation on the coarse level from which depth is searched on a fine level: at
+    # most 0.021 in bare rooms, whose matches are often wrong; 0.035 and more in distant frames
+    min_coarse_gain: float = 0.025
     cost_factor: float = 2.0  # factor of the share of differing bits
     step_cost: float = 0.3  # cost of a change between neighbours by one hypothesis
     jump_cost: float = 4.0  # cost of a larger change
@@ -185,8 +191,10 @@ class GlobalDepthSettings:
     region_step: float = 1.5  # px: largest step of D within a region
     line_step: float = 1.0  # px of D: step that shows the direction of an epipolar line
     median_window: int = 5  # px: side of the window of the median of filled depth
-    # gain of mean correlation from which this depth replaces depth from coarse to fine
-    min_correlation_gain: float = 0.01
+    # gain of mean correlation from which this depth replaces depth from coarse to fine: 0.033 and
+    # more in distant frames. It was 0.023 in a bare room with worse depth, which `min_coarse_gain`
+    # excludes.
+    min_correlation_gain: float = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
