@@ -44,8 +44,8 @@ Row = tuple[str, float, list[Changes]]  # setting, value, and changes for each f
 Group = tuple[Sequence[str], Sequence[Row], Figures]  # settings objects, their rows, and the base
 MOTION, RECONSTRUCTION = "tisfm.motion", "tisfm.reconstruction"
 STAGES_OF_PAIRS = (
-    "settings.EGOMOTION", "settings.DEPTH", "settings.SPARSE", "camera_settings.LIGHT",
-    "camera_settings.INTRINSICS", "camera_settings.FIXED",
+    "settings.EGOMOTION", "settings.DEPTH", "settings.GLOBAL", "settings.SPARSE",
+    "camera_settings.LIGHT", "camera_settings.INTRINSICS", "camera_settings.FIXED",
 )  # fmt: skip
 STAGES = {  # settings objects by the inputs that reach them
     ("camera", "pairs"): [f"{MOTION}.{name}" for name in STAGES_OF_PAIRS],
