@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 class Rival:
     """The motion that lost against the motion of a model, though it came near."""
 
-    # what it leaves unexplained of the matches, over what the motion of the model does
+    # count of matches minus the score of this motion, divided by the same difference of the model:
+    # 1 if both motions explain the matches equally well
     loss: float
     # median angles between the motions of consecutive views, degrees
     direction: float  # between their directions of translation

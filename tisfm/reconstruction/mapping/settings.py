@@ -107,9 +107,9 @@ class MappingSettings:
     max_sideways_share: float = 0.3
     # share of the points that the plane of the second motion has to be in front of
     min_share_before_plane: float = 0.9
-    # incremental: what the motion of a plane that lost leaves unexplained, over what the motion
-    # that won does. In 40 films of rendered planes, of 3 to 16 frames, the winner was right, and
-    # this ratio was 1.04 or more
+    # incremental: largest `rival.Rival.loss` of the second motion of a plane that makes a path
+    # doubtful. In 40 films of rendered planes, of 3 to 16 frames, the first motion was right, and
+    # the loss of the second was 1.04 or more
     max_rival_loss: float = 1.03
     min_rival_direction: float = 5.0  # degrees between the two directions: motions nearer agree
     # solution: standard deviations of the focal length, relative

@@ -71,7 +71,7 @@ def mask_moving_pixels(
         return None
     for number in range(frames.count):
         depth_path(job.folder, number).unlink(missing_ok=True)
-    path = replace(result.path, doubt=first.path.doubt)  # the second search has no look for zooms
+    path = replace(result.path, doubt=first.path.doubt)  # the second search finds no zoom
     result = replace(result, path=path, fixed_pixels=first.fixed_pixels)
     return MaskedPath(result=result, moving_shares=shares)
 
