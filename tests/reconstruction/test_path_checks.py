@@ -22,10 +22,12 @@ from tisfm.reconstruction.result.calibration import GIVEN
 from tisfm.reconstruction.result.focal_note import find_focal_note
 from tisfm.reconstruction.result.folder import FIXED_MASK
 from tisfm.reconstruction.result.path_check import PairEvidence, PathCheck
+from tisfm.reconstruction.result.statuses import mark_contradicted
 from tisfm.reconstruction.streaming import stream_checks
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.report.reconstruction_report import _report
 from tisfm.results.sequence_frames import SequenceFrames
+from tisfm.status import Status
 from tisfm.view.html_texts import status_html
 from tisfm.view.static_page import _caption
 
@@ -269,6 +271,29 @@ def test_pairs_that_contradict_each_other_show_no_zoom():
     pairs = [replace(GOOD, zoom=z, zoom_deviation=0.005) for z in (0.06, 0.0, 0.07)]
     check = replace(check_of(), pairs=tuple(pairs))
     assert check.zoom[0] == 0.06 and check.objections == ()
+
+
+def test_pairs_that_know_only_the_prior_show_no_zoom():
+    """A camera that moves along its axis: the zoom of a pair is open, and the prior decides."""
+    pair = replace(GOOD, zoom=0.06, zoom_deviation=0.029, zoom_gain=1.07)
+    check = replace(check_of(), pairs=(pair,) * 5)
+    assert check.zoom[1] < 2 and check.objections == ()
+    unknown = replace(check_of(), pairs=(replace(pair, zoom_deviation=0.0301),) * 5)
+    assert unknown.zoom == (0.0, 0.0)
+
+
+def test_one_wrong_pair_is_a_doubt():
+    """It contradicts the path only beside a cause, such as noise that is fixed on the sensor."""
+    wrong = replace(GOOD, first=3, second=7, excess=0.16, residual_ratio=3.0)
+    check = replace(check_of(), pairs=(GOOD, wrong, GOOD))
+    assert not check.contradicts
+    assert check.doubt.startswith("frames 3 and 7: the image motion contradicts the path")
+    assert check.doubt.endswith("3.0 times that of another motion")
+    assert not replace(check, pairs=(GOOD, replace(wrong, excess=0.0), GOOD)).doubt
+    statuses = (Status("converged"),)
+    assert mark_contradicted(statuses, (0,), (check,)) == statuses
+    marked = mark_contradicted(statuses, (0,), (check,), {0: "noise hides the motion"})
+    assert marked[0] == "contradicted" and "noise hides" in marked[0].message
 
 
 def test_message_says_whether_the_picture_grows_or_shrinks():

@@ -19,7 +19,7 @@ from tisfm.motion.epipolar_fit import (
 from tisfm.motion.focal_evidence import examine_focal
 from tisfm.reconstruction.path_checks.dense_pairs import DensePair
 from tisfm.reconstruction.path_checks.settings import PATH_CHECKS
-from tisfm.reconstruction.result.path_check import PairEvidence
+from tisfm.reconstruction.result.path_check import LIMITS, PairEvidence
 
 
 def weigh_pair(
@@ -127,8 +127,8 @@ def fit_zoom(rays: Rays, pose: Pose) -> tuple[float, float, float]:
         along = np.concatenate([translation, np.zeros(4)])
         # The length of the translation is not determined; a little on the diagonal avoids 0 / 0.
         matrix += (np.trace(matrix) + 1e-30) * (np.outer(along, along) + 1e-9 * np.eye(7))
-        matrix[6, 6] += 1 / PATH_CHECKS.zoom_deviation**2
-        gradient[6] -= zoom / PATH_CHECKS.zoom_deviation**2
+        matrix[6, 6] += 1 / LIMITS.zoom_prior**2
+        gradient[6] -= zoom / LIMITS.zoom_prior**2
         step = np.linalg.solve(matrix, gradient)
         turn = Rotation.from_rotvec(step[3:6]).as_matrix()
         rotation, translation = turn @ rotation, turn @ translation + step[:3]

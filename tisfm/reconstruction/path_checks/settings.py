@@ -44,7 +44,6 @@ class PathCheckSettings:
     min_scale: float = 0.02  # px: smallest deviation of distances in a robust fit
     # evidence: fit of a zoom
     zoom_iterations: int = 25
-    zoom_deviation: float = 0.03  # prior of the logarithm of the zoom of a pair
     max_zoom: float = 0.15  # logarithm of the zoom of a pair
     min_zoom_residual: float = 0.05  # px: smaller residuals are equally good
     min_zoom_step: float = 1e-7  # length of a step that ends the iterations

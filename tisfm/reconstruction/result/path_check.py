@@ -24,6 +24,7 @@ class Limits:
     max_behind: float = 0.08  # share of the rays
     max_zoom_per_frame: float = 0.003  # logarithm
     min_zoom_significance: float = 4.5  # standard deviations
+    zoom_prior: float = 0.03  # standard deviation of the logarithm of the zoom between two frames
     # residual without a zoom over that with it; planes, which any zoom fits, have at most 1.02
     min_zoom_gain: float = 1.03
     max_fixed_share: float = 0.02  # share of the texture
@@ -200,13 +201,19 @@ class PathCheck:
 
     @property
     def zoom(self) -> tuple[float, float]:
-        """Logarithm of the zoom from frame to frame, and the number of its deviations from 0."""
+        """Logarithm of the zoom from frame to frame, and the number of its deviations from 0.
+
+        A pair that knows no more than is likely before has no weight: a camera that moves along
+        its axis hardly shows a zoom.
+        """
         if not self.pairs:
             return 0.0, 0.0
         steps = np.array([pair.second - pair.first for pair in self.pairs])
         zooms = np.array([pair.zoom for pair in self.pairs]) / steps
-        deviations = np.array([pair.zoom_deviation for pair in self.pairs]) / np.abs(steps)
-        weights = 1 / deviations**2
+        deviations = np.array([pair.zoom_deviation for pair in self.pairs])
+        weights = steps**2 * np.maximum(1 / deviations**2 - 1 / LIMITS.zoom_prior**2, 0)
+        if not weights.any():
+            return 0.0, 0.0
         mean = (zooms * weights).sum() / weights.sum()
         # Pairs that contradict each other show no zoom: pairs of a plane do so.
         scatter = np.sqrt((weights * (zooms - mean) ** 2).sum() / max(len(zooms) - 1, 1))
@@ -264,20 +271,27 @@ class PathCheck:
 
     @property
     def doubt(self) -> str:
-        """What one check says against the order of depth; "" if nothing, or if more is said.
+        """What speaks against the path without contradicting it; "" if nothing does.
 
-        It is no contradiction by itself, but it is one where the images show what misleads the
-        tracks, such as a pattern that is fixed on the sensor.
+        It is a wrong order of depth, or one pair of frames that contradicts the path. Either is a
+        contradiction where the images show what misleads the tracks, such as a pattern that is
+        fixed on the sensor.
         """
-        if self.contradicts or "rank" not in self.objections:
+        if self.contradicts:
             return ""
         if self.parts:
-            doubted = next(part for part in self.parts if part.doubt)
-            return f"a part of the frames{doubted.span_text}: {doubted.doubt}"
-        return (
-            "depth has another order than the image motion between the frames (rank correlation "
-            f"{self.median('rank'):.2f})"
-        )
+            doubted = next((part for part in self.parts if part.doubt), None)
+            return f"a part of the frames{doubted.span_text}: {doubted.doubt}" if doubted else ""
+        if "rank" in self.objections:
+            return (
+                "depth has another order than the image motion between the frames (rank "
+                f"correlation {self.median('rank'):.2f})"
+            )
+        for pair in self.pairs:
+            alone = replace(self, pairs=(pair,))
+            if {"excess", "residual"} <= set(alone.objections):
+                return f"frames {pair.first} and {pair.second}: {alone.message.partition('. ')[0]}"
+        return ""
 
     @property
     def span_text(self) -> str:
