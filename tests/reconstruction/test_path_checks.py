@@ -282,14 +282,16 @@ def test_pairs_that_know_only_the_prior_show_no_zoom():
     assert unknown.zoom == (0.0, 0.0)
 
 
-def test_one_wrong_pair_is_a_doubt():
+def test_one_wrong_pair_is_a_doubt_without_depth():
     """It contradicts the path only beside a cause, such as noise that is fixed on the sensor."""
-    wrong = replace(GOOD, first=3, second=7, excess=0.16, residual_ratio=3.0)
-    check = replace(check_of(), pairs=(GOOD, wrong, GOOD))
+    good = replace(GOOD, rank=None)
+    wrong = replace(good, first=3, second=7, excess=0.16, residual_ratio=3.0)
+    check = replace(check_of(), pairs=(good, wrong, good))
     assert not check.contradicts
     assert check.doubt.startswith("frames 3 and 7: the image motion contradicts the path")
     assert check.doubt.endswith("3.0 times that of another motion")
-    assert not replace(check, pairs=(GOOD, replace(wrong, excess=0.0), GOOD)).doubt
+    assert not replace(check, pairs=(good, replace(wrong, excess=0.0), good)).doubt
+    assert not replace(check, pairs=(GOOD, replace(wrong, rank=0.9), GOOD)).doubt
     statuses = (Status("converged"),)
     assert mark_contradicted(statuses, (0,), (check,)) == statuses
     marked = mark_contradicted(statuses, (0,), (check,), {0: "noise hides the motion"})

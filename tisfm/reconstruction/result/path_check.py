@@ -273,9 +273,9 @@ class PathCheck:
     def doubt(self) -> str:
         """What speaks against the path without contradicting it; "" if nothing does.
 
-        It is a wrong order of depth, or one pair of frames that contradicts the path. Either is a
-        contradiction where the images show what misleads the tracks, such as a pattern that is
-        fixed on the sensor.
+        It is a wrong order of depth or, without depth, one pair of frames that contradicts the
+        path. Either is a contradiction where the images show what misleads the tracks, such as a
+        pattern that is fixed on the sensor.
         """
         if self.contradicts:
             return ""
@@ -287,7 +287,7 @@ class PathCheck:
                 "depth has another order than the image motion between the frames (rank "
                 f"correlation {self.median('rank'):.2f})"
             )
-        for pair in self.pairs:
+        for pair in self.pairs if np.isnan(self.median("rank")) else ():
             alone = replace(self, pairs=(pair,))
             if {"excess", "residual"} <= set(alone.objections):
                 return f"frames {pair.first} and {pair.second}: {alone.message.partition('. ')[0]}"
