@@ -228,7 +228,6 @@ def _deviation(
 ) -> np.ndarray:
     """Return the standard deviation of D, (h, w) float32, cells."""
     distance = cv2.distanceTransform((~planes.is_reliable).astype(np.uint8), cv2.DIST_L2, 5)
-    distance *= 2**planes.level
     precision, square = (cv2.blur(image, DEPTH.averaging_window) for image in residual)
     square = np.minimum(square / np.maximum(precision, MIN_DIVISOR), DEPTH.max_residual**2)
     weight = planes.is_reliable.astype(np.float32)
@@ -242,8 +241,7 @@ def _deviation(
         DEPTH.min_deviation**2
         + DEPTH.residual_share**2 * square
         + difference**2
-        + (DEPTH.deviation_per_pixel * distance * depth) ** 2
-        + (find_bend_share(depth, distance / 2**planes.level) * depth) ** 2,
+        + (find_bend_share(depth, distance) * depth) ** 2,
         dtype=np.float32,
     )
     return deviation
@@ -257,13 +255,15 @@ def find_bend_share(
 
     A bare wall goes on as a plane between matches on itself. Matches on objects in front of it lie
     in no plane with each other, so the depth between them bends, and may be far from the wall. The
-    bend is the length of the second derivatives of D, over the distance of propagation.
+    bend is the length of the second derivatives of D, over the distance of propagation; the least
+    in a window counts, since a jump between two surfaces is narrow.
     """
     smooth = cv2.GaussianBlur(depth, (0, 0), DEPTH.bend_smoothing)
     along_x, along_y, mixed = (
         cv2.Sobel(smooth, cv2.CV_32F, *order, scale=1 / 4) for order in ((2, 0), (0, 2), (1, 1))
     )
     curvature = np.sqrt(along_x**2 + 2 * mixed**2 + along_y**2)
+    curvature = cv2.erode(curvature, np.ones((DEPTH.bend_window,) * 2, np.uint8))
     bend = curvature * distance**2 / np.maximum(depth, MIN_DIVISOR)
     share = DEPTH.deviation_per_bend * bend**2 / (bend + DEPTH.usual_bend)
     return np.asarray(np.minimum(share, DEPTH.max_bend_share), np.float32)
