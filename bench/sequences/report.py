@@ -26,7 +26,8 @@ NOTES = (
     "[0.1 min Z, 10 max Z]; a pixel without depth counts as 10 max Z, a frame without depth as an "
     "error of 1. True depth beyond 40 m does not count. Surest 40 %: the pixels with the smallest "
     "relative deviation, each error limited to 3. Medians over frames. Pixels: share of the pixels "
-    "of known depth for which the method has a depth.",
+    "of known depth for which the method has a depth. Within deviations: shares of the pixels "
+    "whose error of inverse depth is within one / two standard deviations, means over frames.",
     "Keyframes, between them, and at outlines: mean over frames of the mean error, limited as "
     "above, / share of the pixels with an error above 10 %. Outlines: within 8 px of neighbours "
     "whose true inverse depths differ by more than 10 %, unless linear extrapolation from one side "
@@ -71,6 +72,11 @@ def _depth_cell(name: str, form: str, factor: float = 1.0) -> Callable[[Score], 
     return _evaluation_cell(text)
 
 
+def _within(evaluation: SequenceEvaluation) -> str | None:
+    within = evaluation.depth and evaluation.depth.within
+    return " / ".join(f"{100 * share:.0f}" for share in within) if within else None
+
+
 def _group_cell(group: str, names: tuple[str, str]) -> Callable[[Score], str]:
     """Return the cell of a group of frames: mean error and share of wrong pixels, %."""
 
@@ -108,6 +114,7 @@ COLUMNS: tuple[Column, ...] = (
     ),
     ("depth error", _depth_cell("error", ".3f")),
     ("surest 40 %", _depth_cell("certain", ".3f")),
+    ("within deviations, %", _evaluation_cell(_within)),
     ("pixels, %", _depth_cell("share", ".1f", 100)),
     ("keyframes, %", _group_cell("keyframes", WHOLE)),
     ("at outlines, %", _group_cell("keyframes", OUTLINE)),

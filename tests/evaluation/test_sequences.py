@@ -108,6 +108,17 @@ def test_without_deviations_nothing_is_surest(sequence):
     result.deviation[:] = np.nan
     depth = compared(sequence, result).depth
     assert depth.certain is None and depth.error < ROUNDED
+    assert depth.within is None
+
+
+def test_shares_within_one_and_two_deviations(sequence):
+    result = Result()
+    whole = compared(sequence, result).depth
+    assert whole.within == (1.0, 1.0)
+    result.inverse[0][:, ::2] *= 1.15  # half of the pixels of a frame are 1.5 deviations off
+    result.deviation[0] = 0.1 * result.inverse[0]
+    within = compared(sequence, result).depth.per_frame[0].within
+    assert within == pytest.approx((0.5, 1.0))
 
 
 def test_keyframes_and_frames_between_have_errors_of_their_own(sequence):

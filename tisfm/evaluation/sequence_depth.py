@@ -39,6 +39,9 @@ class FrameDepthErrors:
     # as `tisfm.metrics.certain_error`, over the 40 % of the pixels with the smallest
     # relative deviation; 1 for a frame without depth, None for a frame without deviations
     certain: float | None
+    # shares of the pixels with depth whose error is within one and two standard deviations; None
+    # for a frame without depth or deviations
+    within: tuple[float, float] | None
     share: float  # share of the pixels of known depth that have depth
     scale: float | None  # best scale for this frame alone: the median of d*/d; None without depth
     # as `tisfm.metrics.flicker`, from this frame to the next; None if a depth map is missing
@@ -97,6 +100,9 @@ class SequenceDepthErrors:
         Median over frames, see `FrameDepthErrors`.
     certain : float or None
         Median over frames; None if a frame with depth has no deviations.
+    within : (float, float) or None
+        Means over frames: shares of the pixels with depth whose error of inverse depth is within
+        one and two standard deviations, 0.68 and 0.95 for normal errors. None without deviations.
     mean_error : float
         Mean over frames.
     share : float
@@ -127,6 +133,7 @@ class SequenceDepthErrors:
     scale: float
     error: float
     certain: float | None
+    within: tuple[float, float] | None
     mean_error: float
     share: float
     scale_spread: float | None
@@ -167,6 +174,7 @@ def sequence_depth_errors(
     scales = [frame.scale for frame in frames if frame.scale is not None]
     certain = [frame.certain for frame in frames if frame.certain is not None]
     has_deviations = len(certain) == len(frames)
+    within = [frame.within for frame in frames if frame.within is not None]
     flickers = [frame.flicker for frame in frames if frame.flicker is not None]
     return SequenceDepthErrors(
         frames=len(frames),
@@ -174,6 +182,7 @@ def sequence_depth_errors(
         scale=scale,
         error=median(frame.error for frame in frames),
         certain=median(certain) if has_deviations else None,
+        within=(fmean(s for s, _ in within), fmean(s for _, s in within)) if within else None,
         mean_error=fmean(frame.error for frame in frames),
         share=fmean(frame.share for frame in frames),
         scale_spread=float(np.std(np.log(scales))) if scales else None,
@@ -245,10 +254,12 @@ def _compare_frames(
             )
         error: float = ERROR_WITHOUT_DEPTH
         certain: float | None = ERROR_WITHOUT_DEPTH
-        whole, outline = None, None
+        within, whole, outline = None, None, None
         if best_scales[index] is not None:
             error = limited_error(inverse, true_depth, scale=scale)
-            certain = _certain_error(inverse, result.inverse_depth_std(index), true_depth, scale)
+            deviation = result.inverse_depth_std(index)
+            certain = _certain_error(inverse, deviation, true_depth, scale)
+            within = _shares_within(inverse, deviation, true_depth, scale)
             everywhere, near = np.ones(true_depth.shape, bool), find_outlines(true_depth)
             whole = region_errors(inverse, true_depth, everywhere, scale=scale)
             outline = region_errors(inverse, true_depth, near, scale=scale)
@@ -257,6 +268,7 @@ def _compare_frames(
                 frame=index,
                 error=error,
                 certain=certain,
+                within=within,
                 share=estimated_share(inverse, true_depth),
                 scale=best_scales[index],
                 flicker=flicker_to_next,
@@ -274,6 +286,18 @@ def _certain_error(
     if not np.isfinite(deviation).any():
         return None
     return certain_error(inverse, deviation, true_depth, scale=scale)
+
+
+def _shares_within(
+    inverse: NDArray, deviation: NDArray, true_depth: NDArray, scale: float
+) -> tuple[float, float] | None:
+    """Return the shares of the pixels within one and two deviations; an infinite one covers all."""
+    is_compared = (true_depth > 0) & np.isfinite(inverse) & (inverse > 0) & (deviation > 0)
+    if not is_compared.any():
+        return None
+    true_inverse = scale / true_depth[is_compared]
+    error = np.abs(inverse[is_compared] - true_inverse) / deviation[is_compared]
+    return float((error <= 1).mean()), float((error <= 2).mean())
 
 
 def _true_depth(

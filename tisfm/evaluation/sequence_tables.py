@@ -81,12 +81,21 @@ def _depth_table(evaluations: Sequence[SequenceEvaluation]) -> Table:
         caption="In one scale for all frames of a sequence, 1 where the poses were given. error: "
         "|ΔZ|/Z over all pixels of known depth, where pixels without depth count as infinitely "
         "far and a frame without depth as 1; surest: over the 40 % with the smallest relative "
-        "deviation; both are medians over frames. pixels: share with depth. spread: standard "
+        "deviation; both are medians over frames. within: pixels within one / two standard "
+        "deviations. pixels: share with depth. spread: standard "
         "deviation of the logarithm of the best scale of a frame; flicker: mean change of relative "
         "inverse depth along the true flow.",
     )
     table.add_column("", overflow="fold")
-    for heading in ("frames", "error", "surest 40 %", "pixels, %", "spread", "flicker"):
+    for heading in (
+        "frames",
+        "error",
+        "surest 40 %",
+        "within, %",
+        "pixels, %",
+        "spread",
+        "flicker",
+    ):
         table.add_column(heading, justify="right", no_wrap=True)
     for evaluation in evaluations:
         depth = evaluation.depth
@@ -96,6 +105,7 @@ def _depth_table(evaluations: Sequence[SequenceEvaluation]) -> Table:
             f"{depth.frames - depth.without} of {depth.frames}",
             f"{depth.error:.3f}",
             _format_number(depth.certain, ".3f"),
+            " / ".join(f"{100 * share:.0f}" for share in depth.within or ()) or _EMPTY_CELL,
             f"{100 * depth.share:.1f}",
             _format_number(depth.scale_spread, ".3f"),
             _format_number(depth.flicker, ".4f"),
