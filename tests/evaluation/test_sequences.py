@@ -115,10 +115,18 @@ def test_shares_within_one_and_two_deviations(sequence):
     result = Result()
     whole = compared(sequence, result).depth
     assert whole.within == (1.0, 1.0)
-    result.inverse[0][:, ::2] *= 1.15  # half of the pixels of a frame are 1.5 deviations off
     result.deviation[0] = 0.1 * result.inverse[0]
-    within = compared(sequence, result).depth.per_frame[0].within
-    assert within == pytest.approx((0.5, 1.0))
+    result.inverse[0][:, ::2] *= 1.15  # half of the pixels of a frame are 1.5 deviations off
+    result.deviation[1] = 0.1 * result.inverse[1]
+    result.inverse[1][::2] *= 1.25  # half are 2.5 off; the others count as unknown
+    result.deviation[1][1::2] = np.inf
+    result.deviation[2] = np.nan
+    depth = compared(sequence, result).depth
+    assert depth.per_frame[0].within == pytest.approx((0.5, 1.0))
+    assert depth.per_frame[1].within == (0.0, 0.0)
+    assert depth.per_frame[2].within is None
+    known = [frame.within for frame in depth.per_frame if frame.within is not None]
+    assert depth.within == pytest.approx(np.mean(known, axis=0)) and depth.within[0] < 1
 
 
 def test_keyframes_and_frames_between_have_errors_of_their_own(sequence):

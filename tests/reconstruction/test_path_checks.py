@@ -277,9 +277,14 @@ def test_pairs_that_know_only_the_prior_show_no_zoom():
     """A camera that moves along its axis: the zoom of a pair is open, and the prior decides."""
     pair = replace(GOOD, zoom=0.06, zoom_deviation=0.029, zoom_gain=1.07)
     check = replace(check_of(), pairs=(pair,) * 5)
-    assert check.zoom[1] < 2 and check.objections == ()
-    unknown = replace(check_of(), pairs=(replace(pair, zoom_deviation=0.0301),) * 5)
-    assert unknown.zoom == (0.0, 0.0)
+    assert 1 < check.zoom[1] < 2 and check.objections == ()
+    open_pairs = (replace(pair, zoom_deviation=0.03), replace(pair, zoom_deviation=np.nan))
+    assert replace(check, pairs=open_pairs).zoom == (0.0, 0.0)
+    assert replace(check, pairs=open_pairs).objections == ()
+    clear = replace(GOOD, zoom=0.015, zoom_deviation=0.001, zoom_gain=1.2)
+    pairs = (clear, clear, *(replace(p, zoom=0.0, zoom_gain=1.0) for p in 2 * open_pairs))
+    assert replace(check, pairs=pairs).zoom == replace(check, pairs=(clear, clear)).zoom
+    assert replace(check, pairs=pairs).objections == ("zoom",)
 
 
 def test_one_wrong_pair_is_a_doubt_without_depth():
@@ -288,8 +293,14 @@ def test_one_wrong_pair_is_a_doubt_without_depth():
     wrong = replace(good, first=3, second=7, excess=0.16, residual_ratio=3.0)
     check = replace(check_of(), pairs=(good, wrong, good))
     assert not check.contradicts
-    assert check.doubt.startswith("frames 3 and 7: the image motion contradicts the path")
+    assert check.doubt.startswith("the image motion between frames 3 and 7 contradicts the path: ")
     assert check.doubt.endswith("3.0 times that of another motion")
+    zoomed = replace(wrong, zoom=0.05, zoom_deviation=0.002, zoom_gain=1.1)
+    assert "grows" not in replace(check, pairs=(good, zoomed, good)).doubt
+    joined = PathCheck.joined([replace(check, pairs=(good,)), check]).renumbered(
+        {k: 10 + k for k in range(8)}
+    )
+    assert "part of the frames, 10 to 17: the image motion between frames 13 and 17" in joined.doubt
     assert not replace(check, pairs=(good, replace(wrong, excess=0.0), good)).doubt
     assert not replace(check, pairs=(GOOD, replace(wrong, rank=0.9), GOOD)).doubt
     statuses = (Status("converged"),)

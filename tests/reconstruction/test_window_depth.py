@@ -1,6 +1,7 @@
 """Inverse depth of a keyframe from several frames whose poses are known."""
 
 import hashlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -183,3 +184,18 @@ def test_propagated_depth_that_bends_is_uncertain():
     assert find_bend_share(plane, distance)[inner].max() < 1e-3
     assert find_bend_share(bent, distance)[inner].min() > 0.2
     assert find_bend_share(bent, 0 * distance).max() == 0  # at matches
+
+
+def test_a_jump_is_a_bend_in_a_narrow_strip(monkeypatch):
+    from tisfm.reconstruction.depth import window_depth
+
+    jump = np.where(np.arange(60) < 30, 20, 22) * np.ones((40, 1))
+    distance = np.full((40, 60), 12, np.float32)
+
+    def width():
+        share = window_depth.find_bend_share(jump.astype(np.float32), distance)
+        return int((share[20] > 0.05).sum())
+
+    narrow = width()
+    monkeypatch.setattr(window_depth, "DEPTH", replace(window_depth.DEPTH, bend_window=1))
+    assert 1.5 * narrow < width() < 24

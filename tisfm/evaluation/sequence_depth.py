@@ -39,8 +39,8 @@ class FrameDepthErrors:
     # as `tisfm.metrics.certain_error`, over the 40 % of the pixels with the smallest
     # relative deviation; 1 for a frame without depth, None for a frame without deviations
     certain: float | None
-    # shares of the pixels with depth whose error is within one and two standard deviations; None
-    # for a frame without depth or deviations
+    # shares of the pixels with depth and a finite deviation whose error is within one and two
+    # standard deviations; None for a frame without such pixels
     within: tuple[float, float] | None
     share: float  # share of the pixels of known depth that have depth
     scale: float | None  # best scale for this frame alone: the median of d*/d; None without depth
@@ -101,8 +101,9 @@ class SequenceDepthErrors:
     certain : float or None
         Median over frames; None if a frame with depth has no deviations.
     within : (float, float) or None
-        Means over frames: shares of the pixels with depth whose error of inverse depth is within
-        one and two standard deviations, 0.68 and 0.95 for normal errors. None without deviations.
+        Means over frames: shares of the pixels with depth and a finite deviation whose error of
+        inverse depth is within one and two standard deviations, 0.68 and 0.95 for normal errors.
+        None without such pixels.
     mean_error : float
         Mean over frames.
     share : float
@@ -291,13 +292,14 @@ def _certain_error(
 def _shares_within(
     inverse: NDArray, deviation: NDArray, true_depth: NDArray, scale: float
 ) -> tuple[float, float] | None:
-    """Return the shares of the pixels within one and two deviations; an infinite one covers all."""
-    is_compared = (true_depth > 0) & np.isfinite(inverse) & (inverse > 0) & (deviation > 0)
+    """Return the shares of the pixels with a finite deviation within one and two deviations."""
+    is_compared = (true_depth > 0) & np.isfinite(inverse) & (inverse > 0)
+    is_compared &= np.isfinite(deviation) & (deviation >= 0)
     if not is_compared.any():
         return None
-    true_inverse = scale / true_depth[is_compared]
-    error = np.abs(inverse[is_compared] - true_inverse) / deviation[is_compared]
-    return float((error <= 1).mean()), float((error <= 2).mean())
+    error = np.abs(inverse[is_compared] - scale / true_depth[is_compared])
+    within = [error <= count * deviation[is_compared] for count in (1, 2)]
+    return float(within[0].mean()), float(within[1].mean())
 
 
 def _true_depth(

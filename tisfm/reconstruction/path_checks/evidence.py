@@ -99,7 +99,8 @@ def correlate_depth(
     valid = np.isfinite(depth) & (depth > 0)
     if valid.sum() < PATH_CHECKS.min_pixels:
         return None
-    return float(spearmanr(depth[valid], points.inverse_depth[valid]).statistic)
+    rank = float(spearmanr(depth[valid], points.inverse_depth[valid]).statistic)
+    return rank if np.isfinite(rank) else None  # it is NaN if one of the depths is constant
 
 
 def fit_zoom(rays: Rays, pose: Pose) -> tuple[float, float, float]:

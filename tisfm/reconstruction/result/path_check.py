@@ -71,7 +71,7 @@ class PairEvidence:
     zoom : float
         Logarithm of the zoom between the frames that fits best.
     zoom_deviation : float
-        Standard deviation of `zoom`.
+        Standard deviation of `zoom`, with a prior of 0.03: near 0.03, the pair shows no zoom.
     zoom_gain : float
         Residual of the free motion over that of a free motion with zoom.
     parallax : float
@@ -203,21 +203,25 @@ class PathCheck:
     def zoom(self) -> tuple[float, float]:
         """Logarithm of the zoom from frame to frame, and the number of its deviations from 0.
 
-        A pair that knows no more than is likely before has no weight: a camera that moves along
-        its axis hardly shows a zoom.
+        Pairs whose deviation is that of the prior do not count: a camera that moves along its axis
+        hardly shows a zoom.
         """
-        if not self.pairs:
+        pairs = self._zoom_pairs
+        if not pairs:
             return 0.0, 0.0
-        steps = np.array([pair.second - pair.first for pair in self.pairs])
-        zooms = np.array([pair.zoom for pair in self.pairs]) / steps
-        deviations = np.array([pair.zoom_deviation for pair in self.pairs])
-        weights = steps**2 * np.maximum(1 / deviations**2 - 1 / LIMITS.zoom_prior**2, 0)
-        if not weights.any():
-            return 0.0, 0.0
+        steps = np.array([pair.second - pair.first for pair in pairs])
+        zooms = np.array([pair.zoom for pair in pairs]) / steps
+        deviations = np.array([pair.zoom_deviation for pair in pairs])
+        weights = steps**2 * (1 / deviations**2 - 1 / LIMITS.zoom_prior**2)
         mean = (zooms * weights).sum() / weights.sum()
         # Pairs that contradict each other show no zoom: pairs of a plane do so.
         scatter = np.sqrt((weights * (zooms - mean) ** 2).sum() / max(len(zooms) - 1, 1))
         return float(np.median(zooms)), float(mean * np.sqrt(weights.sum()) / max(scatter, 1.0))
+
+    @property
+    def _zoom_pairs(self) -> list[PairEvidence]:
+        """Pairs that know more about the zoom than the prior."""
+        return [pair for pair in self.pairs if pair.zoom_deviation < LIMITS.zoom_prior]
 
     @property
     def focal_spread(self) -> float:
@@ -252,7 +256,7 @@ class PathCheck:
                 "behind": self.median("behind") > LIMITS.max_behind,
                 "zoom": abs(zoom) > LIMITS.max_zoom_per_frame
                 and abs(significance) > LIMITS.min_zoom_significance
-                and self.median("zoom_gain") > LIMITS.min_zoom_gain,
+                and np.median([pair.zoom_gain for pair in self._zoom_pairs]) > LIMITS.min_zoom_gain,
             }
             found = [name for name, objects in tests.items() if objects]
         if (
@@ -273,24 +277,33 @@ class PathCheck:
     def doubt(self) -> str:
         """What speaks against the path without contradicting it; "" if nothing does.
 
-        It is a wrong order of depth or, without depth, one pair of frames that contradicts the
-        path. Either is a contradiction where the images show what misleads the tracks, such as a
-        pattern that is fixed on the sensor.
+        It is a wrong order of depth or, in a path without depth, one pair of frames whose texture
+        leaves its epipolar lines and whose residual is too large. Either is a contradiction where
+        the images show what misleads the tracks, such as a pattern that is fixed on the sensor.
         """
         if self.contradicts:
             return ""
         if self.parts:
-            doubted = next((part for part in self.parts if part.doubt), None)
-            return f"a part of the frames{doubted.span_text}: {doubted.doubt}" if doubted else ""
+            doubts = ((part.span_text, part.doubt) for part in self.parts)
+            return next(
+                (f"a part of the frames{span}: {doubt}" for span, doubt in doubts if doubt), ""
+            )
         if "rank" in self.objections:
             return (
                 "depth has another order than the image motion between the frames (rank "
                 f"correlation {self.median('rank'):.2f})"
             )
-        for pair in self.pairs if np.isnan(self.median("rank")) else ():
+        if any(pair.rank is not None for pair in self.pairs):
+            return ""
+        doubtful = {"excess", "residual"}
+        for pair in self.pairs:
             alone = replace(self, pairs=(pair,))
-            if {"excess", "residual"} <= set(alone.objections):
-                return f"frames {pair.first} and {pair.second}: {alone.message.partition('. ')[0]}"
+            if doubtful <= set(alone.objections):
+                evidence = alone._describe(sorted(doubtful))
+                return (
+                    f"the image motion between frames {pair.first} and {pair.second} contradicts "
+                    f"the path: {evidence}"
+                )
         return ""
 
     @property
@@ -321,6 +334,14 @@ class PathCheck:
                 "focal length changes or is wrong, or the lens distorts; give the true camera, or "
                 'calibrate="radial"'
             )
+        return (
+            "the image motion contradicts the path or its depth: "
+            f"{self._describe(objections)}. Give the focal "
+            'length, a mask of moving objects or motion="objects", or other frames'
+        )
+
+    def _describe(self, objections: Sequence[str]) -> str:
+        """Return the evidence of some checks in words."""
         texts = {
             "excess": f"{self.median('excess'):.0%} of the texture moves off its epipolar lines",
             "residual": "its residual is "
@@ -331,11 +352,7 @@ class PathCheck:
             f"(rank correlation {self.median('rank'):.2f})",
             "behind": f"{self.median('behind'):.0%} of the texture would lie behind the camera",
         }
-        evidence = "; ".join(texts[name] for name in objections)
-        return (
-            f"the image motion contradicts the path or its depth: {evidence}. Give the focal "
-            'length, a mask of moving objects or motion="objects", or other frames'
-        )
+        return "; ".join(texts[name] for name in objections)
 
 
 UNCHECKED = PathCheck(pairs=(), fixed_share=0.0, infinity_motion=0.0)
