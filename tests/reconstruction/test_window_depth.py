@@ -181,9 +181,28 @@ def test_propagated_depth_that_bends_is_uncertain():
     plane = 20 + 0.1 * columns - 0.2 * rows
     bent = plane + 0.003 * (columns - 25) ** 2  # between objects that lie in no plane
     inner = np.s_[8:-8, 8:-8]  # without the border of the smoothing
-    assert find_bend_share(plane, distance)[inner].max() < 1e-3
-    assert find_bend_share(bent, distance)[inner].min() > 0.2
-    assert find_bend_share(bent, 0 * distance).max() == 0  # at matches
+    used = np.zeros((40, 50), bool)
+    used[inner] = True
+    assert find_bend_share(plane, distance, used)[inner].max() < 1e-3
+    assert find_bend_share(plane, 5 * distance, used)[inner].max() < 1e-3  # however far it goes on
+    assert find_bend_share(bent, distance, used)[inner].min() > 0.2
+    assert find_bend_share(bent, 0 * distance, used).max() == 0  # at matches
+
+
+def test_matches_are_uncertain_if_most_of_the_keyframe_bends():
+    from tisfm.reconstruction.depth.window_depth import find_bend_share
+
+    columns = np.arange(80)
+    bent = (20 + 0.003 * (columns - 40) ** 2 * np.ones((40, 1))).astype(np.float32)
+    used = np.ones((40, 80), bool)
+
+    def at_match(matched):
+        distance = np.where(columns < matched, 0, 12) * np.ones((40, 1), np.float32)
+        return find_bend_share(bent, distance.astype(np.float32), used)[20, 10]
+
+    assert 0.1 < at_match(matched=30) < 0.4 and at_match(matched=70) < 0.01
+    used[:, 30:] = False  # masked cells do not count
+    assert at_match(matched=30) == 0
 
 
 def test_a_jump_is_a_bend_in_a_narrow_strip(monkeypatch):
@@ -191,11 +210,14 @@ def test_a_jump_is_a_bend_in_a_narrow_strip(monkeypatch):
 
     jump = np.where(np.arange(60) < 30, 20, 22) * np.ones((40, 1))
     distance = np.full((40, 60), 12, np.float32)
+    settings = replace(window_depth.DEPTH, deviation_of_bent_frame=0.0)
+    monkeypatch.setattr(window_depth, "DEPTH", settings)
 
     def width():
-        share = window_depth.find_bend_share(jump.astype(np.float32), distance)
+        jumps = jump.astype(np.float32)
+        share = window_depth.find_bend_share(jumps, distance, np.ones((40, 60), bool))
         return int((share[20] > 0.05).sum())
 
     narrow = width()
-    monkeypatch.setattr(window_depth, "DEPTH", replace(window_depth.DEPTH, bend_window=1))
+    monkeypatch.setattr(window_depth, "DEPTH", replace(settings, bend_window=1))
     assert 1.5 * narrow < width() < 24

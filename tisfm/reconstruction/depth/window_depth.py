@@ -111,7 +111,7 @@ def window_depth(
         refinement.step()
     depth = refinement.depth()
     depth = np.maximum(depth, min_inverse_depth(planes.inverse_depth[planes.is_reliable]))
-    deviation = _deviation(planes, depth, refinement.residual())
+    deviation = _deviation(planes, depth, refinement.residual(), window.used_cells)
     side, scale = 2**window.level, window.unit * window.camera_of(window.level).focal
     images = enlarge(np.stack([depth, deviation]) / np.float32(scale), side, *key.shape)
     return WindowDepth(
@@ -224,7 +224,10 @@ class _DepthRefinement:
 
 
 def _deviation(
-    planes: WindowPlanes, depth: np.ndarray, residual: tuple[np.ndarray, np.ndarray]
+    planes: WindowPlanes,
+    depth: np.ndarray,
+    residual: tuple[np.ndarray, np.ndarray],
+    used_cells: np.ndarray,  # (h, w) bool
 ) -> np.ndarray:
     """Return the standard deviation of D, (h, w) float32, cells."""
     distance = cv2.distanceTransform((~planes.is_reliable).astype(np.uint8), cv2.DIST_L2, 5)
@@ -241,7 +244,7 @@ def _deviation(
         DEPTH.min_deviation**2
         + DEPTH.residual_share**2 * square
         + difference**2
-        + (find_bend_share(depth, distance) * depth) ** 2,
+        + (find_bend_share(depth, distance, used_cells) * depth) ** 2,
         dtype=np.float32,
     )
     return deviation
@@ -250,13 +253,17 @@ def _deviation(
 def find_bend_share(
     depth: np.ndarray,  # (h, w) float32: D, cells
     distance: np.ndarray,  # (h, w) float32: distance from the nearest match, cells
+    used_cells: np.ndarray,  # (h, w) bool
 ) -> np.ndarray:
-    """Return the deviation of propagated depth that bends, (h, w) float32, as a share of D.
+    """Return the deviation because propagated depth bends, (h, w) float32, as a share of D.
 
     A bare wall goes on as a plane between matches on itself. Matches on objects in front of it lie
     in no plane with each other, so the depth between them bends, and may be far from the wall. The
     bend is the length of the second derivatives of D, over the distance of propagation; the least
     in a window counts, since a jump between two surfaces is narrow.
+
+    If propagated depth bends in most of the keyframe, its few matches, and the path from them, are
+    uncertain, too: the cube of the share of such cells adds to the deviation of every cell.
     """
     smooth = cv2.GaussianBlur(depth, (0, 0), DEPTH.bend_smoothing)
     along_x, along_y, mixed = (
@@ -266,7 +273,9 @@ def find_bend_share(
     curvature = cv2.erode(curvature, np.ones((DEPTH.bend_window,) * 2, np.uint8))
     bend = curvature * distance**2 / np.maximum(depth, MIN_DIVISOR)
     share = DEPTH.deviation_per_bend * bend**2 / (bend + DEPTH.usual_bend)
-    return np.asarray(np.minimum(share, DEPTH.max_bend_share), np.float32)
+    bent_share = float((bend[used_cells] > DEPTH.usual_bend).mean()) if used_cells.any() else 0.0
+    whole = DEPTH.deviation_of_bent_frame * bent_share**3
+    return np.asarray(np.hypot(np.minimum(share, DEPTH.max_bend_share), whole), np.float32)
 
 
 def _check_motions(
