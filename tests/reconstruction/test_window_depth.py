@@ -184,7 +184,7 @@ def test_propagated_depth_that_bends_is_uncertain():
     used = np.zeros((40, 50), bool)
     used[inner] = True
     assert find_bend_share(plane, distance, used)[inner].max() < 1e-3
-    assert find_bend_share(plane, 5 * distance, used)[inner].max() < 1e-3  # however far it goes on
+    assert find_bend_share(plane, 3 * distance, used)[inner].max() < 1e-3  # also farther away
     assert find_bend_share(bent, distance, used)[inner].min() > 0.2
     assert find_bend_share(bent, 0 * distance, used).max() == 0  # at matches
 
