@@ -89,8 +89,8 @@ class DepthSettings:
     max_bend_share: float = 1.0
     # Deviation of every cell of a keyframe that bends everywhere, share of D; it decreases with the
     # cube of the share of cells that bend more than usual. In halls with a few boxes, this share is
-    # 0.5 to 0.8, and even matches are off by 15 to 34 %. Elsewhere it is 0 to 0.2, rarely 0.4.
-    deviation_of_bent_frame: float = 1.0
+    # 0.5 to 0.8, and even matches are off by 15 to 34 %. Elsewhere it is 0 to 0.2, rarely 0.45.
+    deviation_of_bent_frame: float = 0.6
     bend_smoothing: float = 2.0  # cells: standard deviation of the Gaussian before derivatives
     # cells: side of the window that takes the least bend: a jump counts in half as wide a strip
     bend_window: int = 9
