@@ -12,8 +12,9 @@ class Limits:
     """Limits of the evidence against a path.
 
     An experiment on 41 paths set them: 19 wrong paths are contradicted, and 22 right ones are not.
-    The limits of the zoom were set by hand: right paths that grow by more than 0.003 a frame do so
-    by at most 3.4 deviations, and a film that zooms by 1 % a frame by 4.9.
+    The limits of the zoom were set by hand, with deviations that included `zoom_prior`: right paths
+    that grow by more than 0.003 a frame did so by at most 3.4 deviations, and a film that zooms by
+    1 % a frame by 4.9.
     """
 
     max_excess: float = 0.05  # share of the rays
