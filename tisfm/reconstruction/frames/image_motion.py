@@ -58,8 +58,13 @@ def find_flow(
 
 def shrink_for_flow(grey: np.ndarray) -> np.ndarray:
     """Return a frame as float32, halved as long as it has at least `FRAME_FLOW.min_pixels`."""
+    return halve_down_to(grey, 4 * FRAME_FLOW.min_pixels)
+
+
+def halve_down_to(grey: np.ndarray, max_pixels: int) -> np.ndarray:
+    """Return a frame as float32, halved until it has fewer than `max_pixels` pixels."""
     small: np.ndarray = grey.astype(np.float32)
-    while small.size >= 4 * FRAME_FLOW.min_pixels:
+    while small.size >= max_pixels:
         height, width = small.shape
         size = (width + 1) // 2, (height + 1) // 2
         padded = cv2.copyMakeBorder(small, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE)

@@ -14,7 +14,8 @@ NEW_PIECE_NOTE = (
 )
 CAUSE_NOTE = ". Probable cause: "
 NO_PARALLAX = Status(
-    "little_parallax", "no nearby frame shows enough parallax for depth; its pose is known"
+    "little_parallax",
+    "no nearby frame shows enough parallax for depth, or none looks alike; its pose is known",
 )
 ONLY_TURNS = Status(
     "pure_rotation",

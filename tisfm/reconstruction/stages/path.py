@@ -23,6 +23,7 @@ from tisfm.reconstruction.result.calibration import Calibrate, Calibration
 from tisfm.reconstruction.result.moving_object import refuse_unknown_ids
 from tisfm.reconstruction.stages.job import Job
 from tisfm.reconstruction.stages.reading import ReadingResult, make_tracker
+from tisfm.reconstruction.tracks.photographs import FAR_APART, are_photographs, match_photographs
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracks
 
 
@@ -127,6 +128,11 @@ def _find_path(
 ) -> CameraPath:
     """Return the path from tracks, or the given path with triangulated tracks."""
     camera = reading.frames.camera
+    has_photographs = are_photographs(tracks.observations)
+    if has_photographs:
+        tracks = match_photographs(
+            tracks, reading.frames.tracker_input, camera, is_focal_known=calibrate == "nothing"
+        )
     if job.poses is not None:
         return take_given_path(tracks, job.poses, camera, reading.times, reading.instants)
     readout = camera.readout
@@ -142,10 +148,12 @@ def _find_path(
         grey=lambda frame: reading.frames.tracker_input(frame)[0],
     )
     path = solver.solve(reading.instants)
-    if not job.revises_camera:
-        return path
-    is_pinhole = reading.camera.full_camera.distortion is None
-    return revise_path(path, solver, reading.instants, may_distort=is_pinhole)
+    if job.revises_camera:
+        is_pinhole = reading.camera.full_camera.distortion is None
+        path = revise_path(path, solver, reading.instants, may_distort=is_pinhole)
+    if has_photographs:
+        path = replace(path, doubt="; ".join(filter(None, [path.doubt, FAR_APART])))
+    return path
 
 
 def _label_all_frames(job: Job, reading: ReadingResult) -> None:

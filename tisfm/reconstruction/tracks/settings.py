@@ -57,6 +57,12 @@ class TrackSettings:
     min_visible_tracks: float = 0.35
     # detected points; fewer than for a single pair of frames, since a view is matched several times
     points_per_cell: int = 4
+    # photographs: their points are matched at a larger size
+    photograph_points_per_cell: int = 16
+    # pixels of the frame whose points are matched: a frame with as many or more is halved
+    photograph_pixels: int = 2**21
+    # share of neighbouring frames that share hardly any track: with more, frames are photographs
+    min_broken_share: float = 0.5
     matched_views: int = 3  # previous views with which a view is matched by appearance
     min_matches: int = 15  # matches of two neighbouring views
     min_loop_matches: int = 25  # matches that one motion explains, of two views at a loop

@@ -10,7 +10,7 @@ from tisfm.camera import Camera
 from tisfm.errors import InputTypeError
 from tisfm.motion.sparse_matches import Features, detect_features, match_features
 from tisfm.reconstruction.frames.disk_cache import DiskCache
-from tisfm.reconstruction.frames.image_motion import flow_scale, shrink_for_flow
+from tisfm.reconstruction.frames.image_motion import flow_scale, halve_down_to, shrink_for_flow
 from tisfm.reconstruction.tracks.retrieval import ImageDescriptors, find_similar_views
 from tisfm.reconstruction.tracks.settings import TRACKS
 from tisfm.reconstruction.tracks.tracker import Observations
@@ -50,6 +50,8 @@ class ViewSelection:
         # fit.
         is_focal_known: bool = True,
         on_disk: bool = False,  # whether views are stored on disk: then they cannot be dropped
+        # whether frames are photographs far apart: many points of large frames are matched
+        has_photographs: bool = False,
     ) -> None:
         # selected views, in the order of their frames
         self.views: list[View] | DiskCache[View] = (
@@ -58,6 +60,7 @@ class ViewSelection:
         # by pair of view indices: (N, 2) int32, the indices of their detected points that match
         self.matches: dict[tuple[int, int], np.ndarray] = {}
         self._camera, self._is_focal_known = camera, is_focal_known
+        self._has_photographs = has_photographs
         self._descriptors: list[ImageDescriptors] | DiskCache[ImageDescriptors] = (
             DiskCache(ImageDescriptors.to_arrays, ImageDescriptors.from_arrays) if on_disk else []
         )
@@ -91,13 +94,16 @@ class ViewSelection:
         self, frame: int, grey: np.ndarray, observations: Observations, ignored: np.ndarray | None
     ) -> None:
         """Add a frame, (H, W) uint8, as a view; ignored pixels, (H, W) bool, get no points."""
-        features = _detect_features(grey, ignored)
+        features = _detect_features(grey, ignored, in_photograph=self._has_photographs)
         view_index = len(self.views)
         self.views.append(View(frame=frame, observations=observations, detected=features.points))
         self._descriptors.append(ImageDescriptors.from_features(features))
+        min_matches, min_share = TRACKS.min_matches, 0.0
+        if self._has_photographs:
+            min_matches, min_share = TRACKS.min_loop_matches, TRACKS.min_loop_share
         for earlier in self._matchable_views[-TRACKS.matched_views :]:
             self._match(
-                earlier, view_index, grey.shape, min_matches=TRACKS.min_matches, min_share=0.0
+                earlier, view_index, grey.shape, min_matches=min_matches, min_share=min_share
             )
         if len(features.points) >= TRACKS.min_matches:
             self._matchable_views.append(view_index)
@@ -208,10 +214,16 @@ class ViewSelection:
         return None if is_inlier is None else np.asarray(is_inlier)
 
 
-def _detect_features(grey: np.ndarray, ignored: np.ndarray | None) -> Features:
+def _detect_features(
+    grey: np.ndarray, ignored: np.ndarray | None, *, in_photograph: bool = False
+) -> Features:
     """Return points of a frame and their descriptors, found on the shrunk frame."""
-    small = shrink_for_flow(grey)
-    features = detect_features(small, per_cell=TRACKS.points_per_cell)
+    if in_photograph:
+        small = halve_down_to(grey, TRACKS.photograph_pixels)
+        features = detect_features(small, per_cell=TRACKS.photograph_points_per_cell)
+    else:
+        small = shrink_for_flow(grey)
+        features = detect_features(small, per_cell=TRACKS.points_per_cell)
     points = (features.points + 0.5) / flow_scale(small, grey) - 0.5
     if ignored is None:
         return Features(points=points, roots=features.roots)
