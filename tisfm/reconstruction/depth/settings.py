@@ -190,3 +190,37 @@ class DepthSettings:
 
 
 DEPTH = DepthSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutlineSettings:
+    """Depth of keyframes beside outlines.
+
+    Chosen on 14 keyframes of TartanAir, in two halves; costs are shares of the bits of a transform.
+    """
+
+    jump_window: int = 17  # px: side of the window in which a jump of depth counts
+    min_jump: float = 0.15  # range of the inverse depth in this window, share of the inverse depth
+    max_pixels: int = 2**20  # pixels that are searched: a larger frame is halved
+    # lowest and highest inverse depth, over the 1st and the 99th percentile of the keyframe, and
+    # over the lowest and the highest of a block
+    range_factors: tuple[float, float] = (0.85, 1.15)
+    step: float = 2.5  # px of the frame with the longest baseline, between hypotheses
+    max_hypotheses: int = 128  # hypotheses between both ends of the range
+    block_side: int = 64  # px: side of the blocks that are searched one by one
+    block_margin: int = 8  # px around a block: paths begin there
+    # Cost of another depth than before, and the distance at which it is reached, share of the range
+    guess_cost: float = 0.1
+    guess_range: float = 0.125
+    # the same cost away from jumps, where depth stays as it is, and its distance in steps
+    fixed_cost: float = 0.5
+    fixed_steps: float = 2.0
+    # semi-global aggregation: cost of a change by one step, and of a jump
+    step_cost: float = 0.2
+    jump_cost: float = 1.2
+    edge: float = 10.0  # difference of grey levels at which a jump has half its cost
+    median_window: int = 5  # px: side of the median that removes single wrong pixels
+
+
+OUTLINES = OutlineSettings()
+"""Settings of the search beside outlines."""

@@ -26,6 +26,7 @@ from tisfm.motion.problems import depth_problem
 from tisfm.motion.textureless_depth import SECOND_ORDER, texture_weight
 from tisfm.reconstruction.depth.fattened_matches import remove_fattened
 from tisfm.reconstruction.depth.match_deviation import match_weights
+from tisfm.reconstruction.depth.outline_search import search_outlines
 from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.depth.window_planes import (
     Window,
@@ -114,9 +115,18 @@ def window_depth(
     deviation = _deviation(planes, depth, refinement.residual(), window.used_cells)
     side, scale = 2**window.level, window.unit * window.camera_of(window.level).focal
     images = enlarge(np.stack([depth, deviation]) / np.float32(scale), side, *key.shape)
+    inverse_depth = search_outlines(
+        key,
+        others,
+        motions,
+        camera,
+        images[0],
+        key_mask=key_mask,
+        masks=masks,
+    )
     return WindowDepth(
-        inverse_depth=images[0],
-        deviation=images[1],
+        inverse_depth=inverse_depth,
+        deviation=images[1] * (inverse_depth / images[0]),
         is_reliable=planes.is_reliable,
         level=window.level,
     )
