@@ -38,7 +38,7 @@ def search_outlines(
 
     def shrink(image: np.ndarray) -> np.ndarray:
         if not halvings:
-            return image.astype(np.float32, copy=False)
+            return np.array(image, np.float32)  # kernels need a writable array
         cut = image[: size[1] << halvings, : size[0] << halvings]
         return cv2.resize(cut.astype(np.float32), size, interpolation=cv2.INTER_AREA)
 

@@ -199,14 +199,14 @@ class OutlineSettings:
     Chosen on 14 keyframes of TartanAir, in two halves; costs are shares of the bits of a transform.
     """
 
-    jump_window: int = 17  # px: side of the window in which a jump of depth counts
+    jump_window: int = 13  # px: side of the window in which a jump of depth counts
     min_jump: float = 0.15  # range of the inverse depth in this window, share of the inverse depth
     max_pixels: int = 2**20  # pixels that are searched: a larger frame is halved
     # lowest and highest inverse depth, over the 1st and the 99th percentile of the keyframe, and
     # over the lowest and the highest of a block
     range_factors: tuple[float, float] = (0.85, 1.15)
-    step: float = 2.5  # px of the frame with the longest baseline, between hypotheses
-    max_hypotheses: int = 128  # hypotheses between both ends of the range
+    step: float = 0.25  # px of the frame with the longest baseline, between hypotheses
+    max_hypotheses: int = 96  # hypotheses between both ends of the range
     block_side: int = 64  # px: side of the blocks that are searched one by one
     block_margin: int = 8  # px around a block: paths begin there
     # Cost of another depth than before, and the distance at which it is reached, share of the range
