@@ -157,6 +157,7 @@ PLAIN = {
     "rigid.view_search": ("score", "improve", "costs"),
     "rigid.foreground_fattening": ("find_fattened",),
     "rigid.census": ("census_cost",),
+    "rigid.outline_sweep": ("census_transform", "outline_cost"),
     "rigid.semi_global": ("aggregate", "best_hypothesis"),
     "model.readout": ("rigid_fields",),
 }

@@ -14,6 +14,7 @@ from tisfm.kernels.rigid import (
     census,
     epipolar,
     motion_system,
+    outline_sweep,
     plane_sweep,
     semi_global,
     shared_depth,
@@ -122,6 +123,31 @@ class DepthOperations(TaichiSide):
         motion = p.motions[0].astype(np.float32)
         return (
             partial(census.census_cost, *p.census, motion, out, **options),
+            lambda _: np.moveaxis(out.reshape(p.cost.shape) * p.rounds_clearly, -1, 0),
+        )
+
+    def census_transform(self) -> Timed:
+        frame = np.ascontiguousarray(self.problem.frames[0], np.float32)
+        is_used, out = np.ones(frame.shape, np.int32), np.empty(frame.shape, np.int32)
+        return partial(outline_sweep.census_transform, frame, is_used, out), lambda _: out[None]
+
+    def outline_cost(self) -> Timed:
+        p, out = self.problem, aligned_zeros(self._in_vectors())
+        key, others = p.outline_codes[0], np.ascontiguousarray(p.outline_codes[1:])
+        motions = np.repeat(p.motions[:1], len(others), axis=0).astype(np.float32)
+        guess, is_free = p.guess.astype(np.float32), (p.guess > np.median(p.guess)).astype(np.int32)
+        options = {
+            "origin": (0, 0),
+            "center": p.camera.center_for(p.height, p.width),
+            "focal": p.camera.focal,
+            "first": problems.HYPOTHESES[0],
+            "step": problems.HYPOTHESES[1] - problems.HYPOTHESES[0],
+        }
+        options |= problems.OUTLINE_COSTS
+        return (
+            partial(
+                outline_sweep.outline_cost, key, others, motions, guess, is_free, out, **options
+            ),
             lambda _: np.moveaxis(out.reshape(p.cost.shape) * p.rounds_clearly, -1, 0),
         )
 
@@ -286,6 +312,25 @@ class DepthReferences(NumpySide):
 
         def run() -> np.ndarray:
             cost = reference.census_cost(*p.census, problems.HYPOTHESES, p.camera, *pose)
+            return np.moveaxis(cost * p.rounds_clearly, -1, 0)
+
+        return run
+
+    def census_transform(self) -> Run:
+        frame = self.problem.frames[0].astype(np.float32)
+        return lambda: reference.census_transform(frame)[None]
+
+    def outline_cost(self) -> Run:
+        p = self.problem
+        key, others = p.outline_codes[0], p.outline_codes[1:]
+        motions = np.repeat(p.motions[:1], len(others), axis=0)
+        is_free = p.guess > np.median(p.guess)
+
+        def run() -> np.ndarray:
+            cost = reference.outline_cost(
+                key, others, problems.HYPOTHESES, p.camera, motions, p.guess, is_free,
+                **problems.OUTLINE_COSTS,
+            )  # fmt: skip
             return np.moveaxis(cost * p.rounds_clearly, -1, 0)
 
         return run

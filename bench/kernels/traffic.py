@@ -102,6 +102,9 @@ TRAFFIC = {
     "matching_cost": Traffic(read=(10, 0), written=(len(HYPOTHESES), 0)),
     # two words of both frames | costs
     "census_cost": Traffic(read=(4, 0), written=(len(HYPOTHESES), 0)),
+    "census_transform": Traffic(read=(2, 0), written=(1, 0)),  # frame, used pixels | codes
+    # codes of four frames, guess, free pixels | costs
+    "outline_cost": Traffic(read=(6, 0), written=(len(HYPOTHESES), 0)),
     "score": Traffic(read=(6, 0), written=(4, 0)),  # levels, packed levels, planes | planes
     "improve": Traffic(read=(6, 0), written=(4, 0)),
     "views_score": Traffic(read=(5 + VIEWS, 0), written=(4, 0)),  # levels of each other frame

@@ -33,7 +33,13 @@ from bench.reference.minimisation import Minimisation, energy, flowless_fields
 from bench.reference.minimisation import half_quadratic_energy, minimise, minimise_over_flowless
 from bench.reference.patch_match import best_mean, improve_planes, plane_cost, plane_disagreement
 from bench.reference.patch_match import window_cost
-from bench.reference.plane_sweep import aggregate, census_cost, matching_cost
+from bench.reference.plane_sweep import (
+    aggregate,
+    census_cost,
+    census_transform,
+    matching_cost,
+    outline_cost,
+)
 from bench.reference.pyramid import coarse_to_fine, prolong
 from bench.reference.second_order import SecondOrder, anchor_energy, anchor_tensor, line_tensor
 from bench.reference.second_order import minimise_second_order, second_order_energy

@@ -23,6 +23,7 @@ RHO_NOISE = 0.1  # px/frame, on ρ̂, so that weights of edges lie well between 
 LINE_STEPS = (0.5, -1.0)  # along two directions; repeated steps neither grow nor vanish
 EDGE_RATE = 0.2  # growth of the divisor of edge weights, per grey level
 TOLERATED_SQUARE = 0.15**2  # px²
+OUTLINE_COSTS = {"best_count": 2, "guess_costs": (0.1, 0.5), "guess_distances": (4.0, 2.0)}
 HYPOTHESES = 0.5 + np.arange(16)  # px/frame, of inverse depth; fill whole vectors of lanes
 GUESS_TRUNCATION = 4.0  # px/frame
 AGGREGATION = {"step": 0.3, "jump": 5.0, "edge": 1.2}  # penalties; brightness units
@@ -155,6 +156,12 @@ class Problem:
         """Census transforms of both frames; random bits, (2, H, W, 2) int32."""
         shape = (2, self.height, self.width, 2)
         return np.random.default_rng(5).integers(0, 2**24, shape, dtype=np.int32)
+
+    @cached_property
+    def outline_codes(self) -> np.ndarray:
+        """Census transforms of a keyframe and three frames; random bits, (4, H, W) int32."""
+        shape = (4, self.height, self.width)
+        return np.random.default_rng(6).integers(-1, 2**24, shape, dtype=np.int32)
 
     @cached_property
     def rounds_clearly(self) -> np.ndarray:

@@ -142,9 +142,14 @@ def _outline_cost(
         y, x = i + first_row, j + first_column
         x_hat, y_hat = (x - cx) / focal, (y - cy) / focal
         code = census0[y, x]
-        count, guess_cost, scale = 0, fixed_cost, fixed_scale
+        count, unseen_cost, guess_cost, scale = 0, 0.0, fixed_cost, fixed_scale
         if is_free[i, j] > 0:
-            count, guess_cost, scale = census1.shape[0], free_cost, free_scale
+            count, unseen_cost, guess_cost, scale = (
+                census1.shape[0],
+                UNSEEN_COST,
+                free_cost,
+                free_scale,
+            )
         hypothesis = 0.0 * out[i, j, 0] + first
         for lane in ti.static(range(1, lanes)):
             hypothesis[lane] = first + lane * step
@@ -195,7 +200,7 @@ def _outline_cost(
                 total, seen = total + _counted(best2), seen + _is_seen(best2)
             if best_count > 3:
                 total, seen = total + _counted(best3), seen + _is_seen(best3)
-            total = total + UNSEEN_COST * (1.0 - ti.min(seen, 1.0))
+            total = total + unseen_cost * (1.0 - ti.min(seen, 1.0))
             difference = scale * (hypothesis - guess[i, j])
             difference = ti.min(1.0, ti.max(difference, 0.0 - difference))
             out[i, j, n] = total / ti.max(seen, 1.0) + guess_cost * difference

@@ -90,7 +90,8 @@ class _Sweep:
         self._motions[:, :, 3] /= np.float32(self._unit)
         # D in px of the frame with the longest baseline
         self._scale = np.float32(self._unit * camera.focal)
-        self._depth, self._is_free = depth * self._scale, is_free
+        self._inverse_depth, self._is_free = depth, is_free
+        self._depth = depth * self._scale
         low, high = np.percentile(self._depth, (1, 99))
         self._low = float(OUTLINES.range_factors[0] * low)
         self._high = float(OUTLINES.range_factors[1] * high)
@@ -100,15 +101,16 @@ class _Sweep:
 
     def search(self) -> np.ndarray:
         """Return the inverse depth, (h, w) float32."""
-        found = self._depth.copy()
+        found = self._inverse_depth.copy()
         for outer, inner in self._blocks():
             block = self._search_block(outer)
             rows, columns = (
-                slice(i.start - o.start, i.stop - o.start)
-                for i, o in zip(inner, outer, strict=True)
+                slice(part.start - whole.start, part.stop - whole.start)
+                for part, whole in zip(inner, outer, strict=True)
             )
-            found[inner] = np.where(self._is_free[inner], block[rows, columns], found[inner])
-        return found / self._scale
+            is_free = self._is_free[inner]
+            found[inner][is_free] = block[rows, columns][is_free] / self._scale
+        return found
 
     def _blocks(self) -> Iterator[tuple[tuple[slice, slice], tuple[slice, slice]]]:
         """Yield the rows and columns of blocks with jumps, with a margin and without it."""

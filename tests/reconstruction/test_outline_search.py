@@ -1,0 +1,95 @@
+"""Depth of keyframes beside outlines."""
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.reconstruction.views import views
+from tisfm.metrics import outlines
+from tisfm.reconstruction.depth.outline_search import search_outlines
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return views("sideways", 480, 640, 4)
+
+
+def fattened(depth, pixels=9):
+    """Return inverse depth whose nearer surfaces reach too far, as windows make them."""
+    return cv2.dilate((1 / depth).astype(np.float32), np.ones((pixels, pixels), np.uint8))
+
+
+def wrong_share(inverse_depth, depth):
+    """Return the share of the pixels at outlines that are more than 10 % wrong."""
+    error = np.abs(inverse_depth * depth - 1)[outlines(depth)]
+    return float((error > 0.1).mean())
+
+
+def search(scene, inverse_depth, **options):
+    return search_outlines(*scene.first(4), inverse_depth, **options)
+
+
+def test_fattened_outlines_become_sharp(scene):
+    start = fattened(scene.depth)
+    found = search(scene, start)
+    assert found.dtype == np.float32
+    assert wrong_share(found, scene.depth) < 0.6 * wrong_share(start, scene.depth)
+    assert np.abs(found * scene.depth - 1).mean() < np.abs(start * scene.depth - 1).mean()
+
+
+def test_unit_of_length_does_not_matter(scene):
+    key, others, motions, camera = scene.first(4)
+    motions = motions * [1, 1, 1, 1000]
+    found = search_outlines(key, others, motions, camera, fattened(scene.depth) / 1000)
+    same = search(scene, fattened(scene.depth))
+    assert (
+        np.abs(1000 * found - same) > 1e-3 * same
+    ).mean() < 0.01  # rounding decides between equals
+
+
+def test_depth_without_jumps_stays(scene):
+    smooth = np.full(scene.depth.shape, 0.2, np.float32)
+    smooth += np.linspace(0, 0.1, smooth.shape[1], dtype=np.float32)
+    np.testing.assert_array_equal(search(scene, smooth), smooth)
+
+
+def test_depth_away_from_jumps_stays(scene):
+    start = fattened(scene.depth)
+    window = np.ones((15, 15), np.uint8)
+    low, high = cv2.erode(start, window), cv2.dilate(start, window)
+    is_far = high - low < 0.1 * start
+    assert 0.2 < is_far.mean() < 0.98
+    np.testing.assert_allclose(search(scene, start)[is_far], start[is_far], rtol=1e-6)
+
+
+def test_masked_pixels_stay_and_are_not_compared(scene):
+    start = fattened(scene.depth)
+    used = np.zeros(scene.depth.shape, bool)
+    used[:, :320] = True
+    found = search(scene, start, key_mask=used)
+    np.testing.assert_array_equal(found[~used], start[~used])
+    assert (found[used] != start[used]).any()
+    # Where no frame is compared, nothing speaks for another depth.
+    nothing = [np.zeros(scene.depth.shape, bool)] * 4
+    blind = search(scene, start, masks=nothing)
+    assert (np.abs(blind - start) > 0.02 * start).mean() < (
+        np.abs(found - start) > 0.02 * start
+    ).mean()
+
+
+def test_large_frames_are_halved(scene, monkeypatch):
+    from dataclasses import replace
+
+    from tisfm.reconstruction.depth import outline_search
+
+    small = replace(outline_search.OUTLINES, max_pixels=240 * 320)
+    monkeypatch.setattr(outline_search, "OUTLINES", small)
+    key, others, motions, camera = scene.first(4)
+    cut = slice(0, 479), slice(0, 637)  # odd sizes
+    start = fattened(scene.depth)[cut]
+    center = camera.center_for(480, 640)
+    camera = replace(camera, center=center)
+    found = search_outlines(key[cut], [other[cut] for other in others], motions, camera, start)
+    assert found.shape == start.shape
+    assert np.isfinite(found).all()
+    assert (found != start).any()
