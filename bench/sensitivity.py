@@ -61,6 +61,7 @@ STAGES = {  # settings objects by the inputs that reach them
             "geometry.settings.GEOMETRY",
             "frames.settings.FRAME_FLOW",
             "depth.settings.DEPTH",
+            "depth.settings.OUTLINES",
         )
     ],
     ("lens",): [f"{RECONSTRUCTION}.calibration.settings.CALIBRATION"],
