@@ -61,7 +61,10 @@ def test_photographs_far_apart_get_poses_and_depth(given, tmp_path):
     assert result.piece.tolist() == [0] * len(frames)
     assert path_error(result.poses, poses) < 0.01
     assert np.isfinite(result.depth_error).all()
-    if not given:
+    assert not result.checks or not result.checks[0].pairs
+    if given:
+        assert set(map(str, result.status)) == {"converged"}
+    else:
         assert set(map(str, result.status)) == {"uncertain"}
         assert "too far apart" in result.status[0].message
 
@@ -70,6 +73,11 @@ def test_photographs_are_told_from_films():
     assert are_photographs(track(flight()[0]))
     assert not are_photographs(track(walk(4).frames))
     assert not are_photographs([])
+
+
+def test_dark_frames_make_no_photographs():
+    film, dark = walk(4).frames, np.zeros(walk(4).frames.shape, np.uint8)
+    assert not are_photographs(track([*film, *dark, *dark]))
 
 
 def test_matched_points_become_tracks():

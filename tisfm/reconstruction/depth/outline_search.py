@@ -32,7 +32,7 @@ def search_outlines(
     """Return the inverse depth of a keyframe, matched again beside jumps of depth."""
     shape = key.shape
     halvings = 0
-    while key.size >> 2 * halvings > OUTLINES.max_pixels:
+    while key.size >> 2 * halvings > OUTLINES.max_pixels and min(shape) >> halvings > 1:
         halvings += 1
     size = shape[1] >> halvings, shape[0] >> halvings
 
@@ -43,31 +43,23 @@ def search_outlines(
         return cv2.resize(cut.astype(np.float32), size, interpolation=cv2.INTER_AREA)
 
     depth = shrink(inverse_depth)
-    is_free = _find_jumps(depth)
+    is_searched = _find_jumps(depth)
     if key_mask is not None:
-        is_free &= shrink(key_mask) > 0
-    if not is_free.any():
+        is_searched &= shrink(key_mask) == 1
+    if not is_searched.any():
         return inverse_depth
+    codes = [
+        _census(shrink(frame), None if mask is None else shrink(mask) == 1)
+        for frame, mask in zip(
+            others, [None] * len(others) if masks is None else masks, strict=True
+        )
+    ]
     small_camera = camera.scaled(0.5**halvings, *shape) if halvings else camera
-    all_masks = masks or [None] * len(others)
-    sweep = _Sweep(
-        shrink(key),
-        np.stack(
-            [
-                _census(shrink(frame), None if mask is None else shrink(mask) > 0)
-                for frame, mask in zip(others, all_masks, strict=True)
-            ]
-        ),
-        motions,
-        small_camera,
-        depth,
-        is_free,
-    )
-    found = sweep.search()
-    if not halvings:
-        return found
-    is_changed = _enlarge(is_free.astype(np.float32), shape) > 0
-    return np.where(is_changed, _enlarge(found, shape), inverse_depth)
+    sweep = _Sweep(shrink(key), np.stack(codes), motions, small_camera, depth, is_searched)
+    found, is_changed = sweep.search(), sweep.is_changed
+    if halvings:
+        found, is_changed = (_enlarge(image, 2**halvings, shape) for image in (found, is_changed))
+    return np.where(is_changed, found, inverse_depth)
 
 
 class _Sweep:
@@ -80,7 +72,7 @@ class _Sweep:
         motions: np.ndarray,  # (M, 3, 4)
         camera: Camera,
         depth: np.ndarray,  # (h, w) float32
-        is_free: np.ndarray,  # (h, w) bool
+        is_searched: np.ndarray,  # (h, w) bool
     ) -> None:
         lengths = np.linalg.norm(motions[:, :, 3], axis=1)
         self._unit = float(lengths.max())
@@ -90,27 +82,25 @@ class _Sweep:
         self._motions[:, :, 3] /= np.float32(self._unit)
         # D in px of the frame with the longest baseline
         self._scale = np.float32(self._unit * camera.focal)
-        self._inverse_depth, self._is_free = depth, is_free
-        self._depth = depth * self._scale
-        low, high = np.percentile(self._depth, (1, 99))
-        self._low = float(OUTLINES.range_factors[0] * low)
-        self._high = float(OUTLINES.range_factors[1] * high)
-        count = np.ceil((self._high - self._low) / OUTLINES.step)
-        self._count = int(np.clip(count, 2, OUTLINES.max_hypotheses))
-        self._step = (self._high - self._low) / (self._count - 1)
+        self._depth, self._is_searched = depth * self._scale, is_searched
+        # (h, w) bool: pixels whose depth the search changed
+        self.is_changed = np.zeros(depth.shape, bool)
 
     def search(self) -> np.ndarray:
-        """Return the inverse depth, (h, w) float32."""
-        found = self._inverse_depth.copy()
+        """Return the inverse depth, (h, w) float32; it is new where `is_changed`."""
+        found = self._depth.copy()
         for outer, inner in self._blocks():
-            block = self._search_block(outer)
+            block, step = self._search_block(outer)
             rows, columns = (
                 slice(part.start - whole.start, part.stop - whole.start)
                 for part, whole in zip(inner, outer, strict=True)
             )
-            is_free = self._is_free[inner]
-            found[inner][is_free] = block[rows, columns][is_free] / self._scale
-        return found
+            new, old = block[rows, columns], self._depth[inner]
+            # Within half a step, the old depth is more exact.
+            is_changed = self._is_searched[inner] & (np.abs(new - old) > step / 2)
+            self.is_changed[inner] = is_changed
+            found[inner][is_changed] = new[is_changed]
+        return found / self._scale
 
     def _blocks(self) -> Iterator[tuple[tuple[slice, slice], tuple[slice, slice]]]:
         """Yield the rows and columns of blocks with jumps, with a margin and without it."""
@@ -119,43 +109,45 @@ class _Sweep:
         for top in range(0, height, side):
             for left in range(0, width, side):
                 inner = slice(top, min(top + side, height)), slice(left, min(left + side, width))
-                if self._is_free[inner].any():
+                if self._is_searched[inner].any():
                     outer = tuple(
                         slice(max(0, part.start - margin), min(part.stop + margin, length))
                         for part, length in zip(inner, (height, width), strict=True)
                     )
                     yield (outer[0], outer[1]), inner
 
-    def _search_block(self, block: tuple[slice, slice]) -> np.ndarray:
-        """Return D of a block with its margin, (h, w) float32."""
+    def _search_block(self, block: tuple[slice, slice]) -> tuple[np.ndarray, float]:
+        """Return D of a block with its margin, (h, w) float32, and the step between hypotheses."""
         guess = np.ascontiguousarray(self._depth[block])
-        low, high = OUTLINES.range_factors[0] * guess.min(), OUTLINES.range_factors[1] * guess.max()
-        low, high = max(low, self._low), min(high, self._high)
-        begin = int(max(0, (low - self._low) // self._step))
-        end = int(min(self._count, (high - self._low) // self._step + 2))
-        count, lane_count = max(2, end - begin), lanes()
+        low, high = (
+            float(factor * limit)
+            for factor, limit in zip(
+                OUTLINES.range_factors, (guess.min(), guess.max()), strict=True
+            )
+        )
+        count = int(np.clip(np.ceil((high - low) / OUTLINES.step), 2, OUTLINES.max_hypotheses))
+        step, lane_count = (high - low) / (count - 1), lanes()
         vectors = -(-count // lane_count)
         shape = guess.shape
         plain = (*shape, vectors * lane_count)
         cost = aligned_empty((*shape, vectors, lane_count) if lane_count > 1 else plain)
-        first = float(self._low + begin * self._step)
         outline_cost(
             self._census0,
             self._census1,
             self._motions,
             guess,
-            self._is_free[block].astype(np.int32),
+            self._is_searched[block].astype(np.int32),
             cost,
             origin=(block[0].start, block[1].start),
             center=self._camera.center_for(*self._key.shape),
             focal=self._camera.focal,
-            first=first,
-            step=self._step,
+            first=low,
+            step=step,
             best_count=min((len(self._motions) + 1) // 2, MAX_BEST),
             guess_costs=(OUTLINES.guess_cost, OUTLINES.fixed_cost),
             guess_distances=(
-                OUTLINES.guess_range * (self._high - self._low),
-                OUTLINES.fixed_steps * self._step,
+                OUTLINES.guess_range * (high - low),
+                OUTLINES.fixed_steps * step,
             ),
         )
         cost.reshape(plain)[..., count:] = UNUSED_COST
@@ -170,7 +162,7 @@ class _Sweep:
         )
         best = np.empty(shape, np.float32)
         best_hypothesis(total.reshape(plain), best, count=count)
-        return cv2.medianBlur(first + self._step * best, OUTLINES.median_window)
+        return cv2.medianBlur(np.float32(low + step * best), OUTLINES.median_window), step
 
 
 def _find_jumps(depth: np.ndarray) -> np.ndarray:
@@ -188,9 +180,8 @@ def _census(frame: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
     return codes
 
 
-def _enlarge(image: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def _enlarge(image: np.ndarray, factor: int, shape: tuple[int, int]) -> np.ndarray:
     """Return an image with `shape`, each pixel repeated; the last rows and columns go on."""
-    factor = shape[0] // image.shape[0]
     large = image.repeat(factor, axis=0).repeat(factor, axis=1)
     missing = [(0, length - part) for length, part in zip(shape, large.shape, strict=True)]
     return np.pad(large, missing, mode="edge")

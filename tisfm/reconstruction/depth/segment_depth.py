@@ -141,7 +141,7 @@ class PieceDepths:
         limits = [frames[0], *self.keyframes, frames[-1]]
         windows = []
         for number, key in enumerate(self.keyframes):
-            depth = self._keyframe_depth(key, None, "fast")
+            depth = self._keyframe_depth(key, None, "fast", searches_outlines=False)
             if depth is None:
                 continue
             first, last = limits[number], limits[number + 2]
@@ -169,7 +169,9 @@ class PieceDepths:
             deviation = np.where(used_pixels, deviation, np.float32(np.inf))
         return FrameDepth(frame=frame, inverse_depth=inverse_depth, deviation=deviation)
 
-    def _keyframe_depth(self, key: int, previous: int | None, effort: Effort) -> WindowDepth | None:
+    def _keyframe_depth(
+        self, key: int, previous: int | None, effort: Effort, *, searches_outlines: bool = True
+    ) -> WindowDepth | None:
         """Return the depth of a keyframe from neighbours; None without neighbours or matches."""
         poses = self._piece.poses
         rough_depth = self._rough_depth(key, previous)
@@ -199,6 +201,7 @@ class PieceDepths:
             key_mask=self._frames.used_pixels(key),
             masks=[self._frames.used_pixels(f) for f in others],
             uncropped_shape=self._uncropped_shape,
+            searches_outlines=searches_outlines,
         )
 
     def _rough_depth(self, key: int, previous: int | None) -> np.ndarray | float | None:

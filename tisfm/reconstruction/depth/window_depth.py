@@ -78,6 +78,7 @@ def window_depth(
     masks: Sequence[np.ndarray | None] | None = None,
     # H and W of the uncropped frames, as for `Window`
     uncropped_shape: tuple[int, int] | None = None,
+    searches_outlines: bool = True,  # whether depth beside jumps is searched again
 ) -> WindowDepth | None:  # None if there are too few reliable matches
     """Estimate the inverse depth of every pixel of a keyframe.
 
@@ -115,15 +116,11 @@ def window_depth(
     deviation = _deviation(planes, depth, refinement.residual(), window.used_cells)
     side, scale = 2**window.level, window.unit * window.camera_of(window.level).focal
     images = enlarge(np.stack([depth, deviation]) / np.float32(scale), side, *key.shape)
-    inverse_depth = search_outlines(
-        key,
-        others,
-        motions,
-        camera,
-        images[0],
-        key_mask=key_mask,
-        masks=masks,
-    )
+    inverse_depth = images[0]
+    if searches_outlines:
+        inverse_depth = search_outlines(
+            key, others, motions, camera, images[0], key_mask=key_mask, masks=masks
+        )
     return WindowDepth(
         inverse_depth=inverse_depth,
         deviation=images[1] * (inverse_depth / images[0]),

@@ -11,6 +11,12 @@ from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.shutter import RollingShutterMotion
 from tisfm.status import Status
 
+FAR_APART = (
+    "the frames are too far apart to check the path: only matched points support it. Give frames "
+    "with more overlap"
+)
+"""What makes a path of photographs doubtful."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class CameraPath:
@@ -36,6 +42,8 @@ class CameraPath:
     objection: str = ""
     # why the camera is perhaps wrong, and what to do; "" if nothing says so
     doubt: str = ""
+    # whether frames are photographs, which are too far apart for the checks
+    has_photographs: bool = False
 
     @property
     def is_plain(self) -> bool:

@@ -150,8 +150,7 @@ def choose_second_frame(
 ) -> int | None:
     """Return the frame whose tracks have moved by about the wanted share of the longer side.
 
-    Frames that share few tracks with the first one, compared with the nearest frame, are too far,
-    and so are frames with a large motion between them.
+    Frames that share few tracks with the first one, compared with the nearest frame, are too far.
     """
     motions = [
         (other, *measure_track_motion(observations[first], observations[other]))
@@ -165,8 +164,6 @@ def choose_second_frame(
         if count < min_tracks:
             continue
         motion = max(pixels / longer_side, PATH_CHECKS.min_pair_motion)
-        if motion > PATH_CHECKS.max_pair_motion:
-            continue
         cost = abs(np.log(motion / PATH_CHECKS.pair_motion))
         if other < first:
             cost += PATH_CHECKS.backward_cost

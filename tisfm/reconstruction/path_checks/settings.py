@@ -15,8 +15,6 @@ class PathCheckSettings:
     min_keyframes: int = 3  # with fewer keyframes, pairs begin at other frames too
     # median motion of tracks between the frames of a pair, share of the longer side
     pair_motion: float = 0.02
-    # share of the longer side: the dense motion of frames farther apart is not reliable
-    max_pair_motion: float = 0.15
     min_pair_motion: float = 1e-5  # smaller motions are equally small, share of the longer side
     max_pair_steps: int = 8  # frames between the two frames of a pair
     min_pair_tracks: int = 20  # tracks that both frames of a pair have

@@ -357,4 +357,4 @@ class PathCheck:
 
 
 UNCHECKED = PathCheck(pairs=(), fixed_share=0.0, infinity_motion=0.0)
-"""The check of a piece whose positions are unknown: there is no path to check."""
+"""The check of a piece whose positions are unknown, or whose frames are too far apart."""

@@ -15,7 +15,8 @@ NEW_PIECE_NOTE = (
 CAUSE_NOTE = ". Probable cause: "
 NO_PARALLAX = Status(
     "little_parallax",
-    "no nearby frame shows enough parallax for depth, or none looks alike; its pose is known",
+    "no nearby frame shows enough parallax for depth, or their images do not match; its pose is "
+    "known",
 )
 ONLY_TURNS = Status(
     "pure_rotation",

@@ -57,7 +57,7 @@ def _check_piece(
     inverse_depth: Callable[[int], np.ndarray | None],  # frame → (H, W)
     camera: Camera,  # a pinhole
 ) -> PathCheck:
-    if piece.only_turns:
+    if piece.only_turns or path.has_photographs:
         return UNCHECKED
 
     return check_piece(

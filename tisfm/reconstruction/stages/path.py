@@ -14,7 +14,7 @@ from tisfm.reconstruction.objects.sequence_labels import (
     find_static_path,
     label_remaining_frames,
 )
-from tisfm.reconstruction.path.camera_path import CameraPath
+from tisfm.reconstruction.path.camera_path import FAR_APART, CameraPath
 from tisfm.reconstruction.path.camera_revision import revise_path
 from tisfm.reconstruction.path.given_path import take_given_path
 from tisfm.reconstruction.path.path_solver import PathSolver
@@ -23,7 +23,7 @@ from tisfm.reconstruction.result.calibration import Calibrate, Calibration
 from tisfm.reconstruction.result.moving_object import refuse_unknown_ids
 from tisfm.reconstruction.stages.job import Job
 from tisfm.reconstruction.stages.reading import ReadingResult, make_tracker
-from tisfm.reconstruction.tracks.photographs import FAR_APART, are_photographs, match_photographs
+from tisfm.reconstruction.tracks.photographs import are_photographs, match_photographs
 from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracks
 
 
@@ -100,10 +100,15 @@ def _track_and_solve(
     tracker = make_tracker(job, frames.camera, calibrate)
     for number in range(frames.count):
         grey, ignored = frames.tracker_input(number)
-        if mask is not None:
-            ignored = mask if ignored is None else ignored | mask
-        tracker.add(grey, ignored, frames.flow(number))
-    return _find_path(job, reading, tracker.finish(), calibrate)
+        tracker.add(grey, _join_masks(ignored, mask), frames.flow(number))
+    return _find_path(job, reading, tracker.finish(), calibrate, mask)
+
+
+def _join_masks(ignored: np.ndarray | None, mask: np.ndarray | None) -> np.ndarray | None:
+    """Return the pixels that one of two masks ignores, (H, W) bool; None for none."""
+    if ignored is None or mask is None:
+        return mask if ignored is None else ignored
+    return ignored | mask
 
 
 def _mask_fixed_pixels(job: Job, reading: ReadingResult) -> tuple[CameraPath, np.ndarray] | None:
@@ -124,17 +129,28 @@ def _mask_fixed_pixels(job: Job, reading: ReadingResult) -> tuple[CameraPath, np
 
 
 def _find_path(
-    job: Job, reading: ReadingResult, tracks: SequenceTracks, calibrate: Calibrate
+    job: Job,
+    reading: ReadingResult,
+    tracks: SequenceTracks,
+    calibrate: Calibrate,
+    mask: np.ndarray | None = None,  # (H, W) bool: pixels without tracks
 ) -> CameraPath:
     """Return the path from tracks, or the given path with triangulated tracks."""
     camera = reading.frames.camera
-    has_photographs = are_photographs(tracks.observations)
-    if has_photographs:
-        tracks = match_photographs(
-            tracks, reading.frames.tracker_input, camera, is_focal_known=calibrate == "nothing"
+    photographs = None
+    if are_photographs(tracks.observations):
+
+        def frame_of(number: int) -> tuple[np.ndarray, np.ndarray | None]:
+            grey, ignored = reading.frames.tracker_input(number)
+            return grey, _join_masks(ignored, mask)
+
+        photographs = match_photographs(
+            tracks, frame_of, camera, is_focal_known=calibrate == "nothing"
         )
+        tracks = photographs or tracks
     if job.poses is not None:
-        return take_given_path(tracks, job.poses, camera, reading.times, reading.instants)
+        path = take_given_path(tracks, job.poses, camera, reading.times, reading.instants)
+        return replace(path, has_photographs=photographs is not None)
     readout = camera.readout
     if job.has_objects:  # a known readout is corrected; an unknown readout is not estimated
         readout = readout or 0.0
@@ -151,8 +167,9 @@ def _find_path(
     if job.revises_camera:
         is_pinhole = reading.camera.full_camera.distortion is None
         path = revise_path(path, solver, reading.instants, may_distort=is_pinhole)
-    if has_photographs:
-        path = replace(path, doubt="; ".join(filter(None, [path.doubt, FAR_APART])))
+    if photographs is not None:
+        doubt = "; ".join(filter(None, [path.doubt, FAR_APART]))
+        path = replace(path, has_photographs=True, doubt=doubt)
     return path
 
 

@@ -14,20 +14,18 @@ from tisfm.reconstruction.tracks.settings import TRACKS
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.views import View, ViewSelection
 
-FAR_APART = (
-    "the frames are too far apart for the checks of the path: matched points alone support it. "
-    "Give frames with more overlap"
-)
-"""What makes a path of photographs doubtful."""
-
 
 def are_photographs(observations: Sequence[Observations]) -> bool:
-    """Return whether most neighbouring frames share hardly any track."""
+    """Return whether most neighbouring frames share hardly any track.
+
+    Frames without tracks, such as dark ones, are left out.
+    """
     is_broken = [
         len(first.common_tracks(second)[0]) < TRACKS.min_matches
         for first, second in pairwise(observations)
+        if min(len(first.tracks), len(second.tracks)) >= TRACKS.min_matches
     ]
-    return bool(is_broken) and float(np.mean(is_broken)) >= TRACKS.min_broken_share
+    return bool(is_broken) and float(np.mean(is_broken)) >= TRACKS.min_photograph_share
 
 
 def match_photographs(
@@ -37,7 +35,7 @@ def match_photographs(
     camera: Camera,  # pinhole camera of the frames
     *,
     is_focal_known: bool,  # as for `SequenceTracker`
-) -> SequenceTracks:
+) -> SequenceTracks | None:  # None if most frames match no other frame
     """Return the tracks of photographs: many points of all frames, matched by appearance.
 
     Every frame becomes a view. Matches become tracks, too: they give points and the first depth.
@@ -49,6 +47,9 @@ def match_photographs(
         grey, ignored = frame_of(frame)
         selection.add(frame, grey, tracked, ignored)
     selection.close_loops(tracks.shape)
+    matched = {frame for pair in selection.matches for frame in pair}
+    if len(matched) < TRACKS.min_matched_share * len(selection.views):
+        return None
     observations = _add_matched_tracks(tracks.observations, selection.views, selection.matches)
     views = [replace(view, observations=observations[view.frame]) for view in selection.views]
     return replace(tracks, observations=observations, views=views, matches=selection.matches)

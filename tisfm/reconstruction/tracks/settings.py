@@ -61,8 +61,10 @@ class TrackSettings:
     photograph_points_per_cell: int = 16
     # pixels of the frame whose points are matched: a frame with as many or more is halved
     photograph_pixels: int = 2**21
-    # share of neighbouring frames that share hardly any track: with more, frames are photographs
-    min_broken_share: float = 0.5
+    # share of neighbouring frames that share hardly any track: with at least this share, frames are
+    # photographs
+    min_photograph_share: float = 0.5
+    min_matched_share: float = 0.5  # share of the photographs that match another one
     matched_views: int = 3  # previous views with which a view is matched by appearance
     min_matches: int = 15  # matches of two neighbouring views
     min_loop_matches: int = 25  # matches that one motion explains, of two views at a loop
