@@ -8,7 +8,12 @@ from tests.reconstruction.films import path_error, walk
 from tests.rendered import shared
 from tisfm.camera import Camera
 from tisfm.reconstruction.frames.image_motion import TRACKING_SETTINGS
-from tisfm.reconstruction.tracks.photographs import _add_matched_tracks, are_photographs
+from tisfm.reconstruction.tracks.photographs import (
+    _add_matched_tracks,
+    are_photographs,
+    match_photographs,
+)
+from tisfm.reconstruction.tracks.sequence_tracks import SequenceTracks
 from tisfm.reconstruction.tracks.tracker import Observations, Tracker
 from tisfm.reconstruction.tracks.views import View
 from tisfm.rigid import pose_matrix
@@ -97,3 +102,15 @@ def test_matched_points_become_tracks():
     assert found[0].points[1].tolist() == [0, 1]
     assert found[1].points[0].tolist() == [12, 13]
     assert found[2].points[0].tolist() == [20, 21]
+
+
+def test_frames_that_hardly_move_are_no_photographs():
+    """Tracks may end for another reason, such as noise."""
+    frames = walk(4, 240, 320).frames
+    nothing = [Observations(points=np.empty((0, 2)), tracks=np.empty(0, np.int64))] * 4
+    tracks = SequenceTracks(
+        observations=nothing, views=(), matches={}, distinct_count=4, shape=frames.shape[1:]
+    )
+    camera = Camera(focal=192.0)
+    found = match_photographs(tracks, lambda k: (frames[k], None), camera, is_focal_known=True)
+    assert found is None

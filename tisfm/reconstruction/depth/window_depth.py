@@ -27,7 +27,7 @@ from tisfm.motion.textureless_depth import SECOND_ORDER, texture_weight
 from tisfm.reconstruction.depth.fattened_matches import remove_fattened
 from tisfm.reconstruction.depth.match_deviation import match_weights
 from tisfm.reconstruction.depth.outline_search import search_outlines
-from tisfm.reconstruction.depth.settings import DEPTH
+from tisfm.reconstruction.depth.settings import DEPTH, OUTLINES
 from tisfm.reconstruction.depth.window_planes import (
     Window,
     WindowPlanes,
@@ -123,7 +123,10 @@ def window_depth(
         )
     return WindowDepth(
         inverse_depth=inverse_depth,
-        deviation=images[1] * (inverse_depth / images[0]),
+        deviation=np.hypot(
+            images[1] * (inverse_depth / images[0]),
+            np.float32(OUTLINES.deviation_per_change) * (inverse_depth - images[0]),
+        ),
         is_reliable=planes.is_reliable,
         level=window.level,
     )

@@ -35,7 +35,7 @@ def match_photographs(
     camera: Camera,  # pinhole camera of the frames
     *,
     is_focal_known: bool,  # as for `SequenceTracker`
-) -> SequenceTracks | None:  # None if most frames match no other frame
+) -> SequenceTracks | None:  # None if frames match no others, or hardly move
     """Return the tracks of photographs: many points of all frames, matched by appearance.
 
     Every frame becomes a view. Matches become tracks, too: they give points and the first depth.
@@ -49,6 +49,14 @@ def match_photographs(
     selection.close_loops(tracks.shape)
     matched = {frame for pair in selection.matches for frame in pair}
     if len(matched) < TRACKS.min_matched_share * len(selection.views):
+        return None
+    motions = [
+        np.hypot(*(selection.views[k].detected[to] - selection.views[i].detected[at]).T)
+        for (i, k), (at, to) in ((pair, found.T) for pair, found in selection.matches.items())
+        if k == i + 1
+    ]
+    min_motion = TRACKS.min_photograph_motion * max(tracks.shape)
+    if not motions or np.median(np.concatenate(motions)) < min_motion:
         return None
     observations = _add_matched_tracks(tracks.observations, selection.views, selection.matches)
     views = [replace(view, observations=observations[view.frame]) for view in selection.views]

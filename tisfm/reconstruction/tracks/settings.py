@@ -64,6 +64,9 @@ class TrackSettings:
     # share of neighbouring frames that share hardly any track: with at least this share, frames are
     # photographs
     min_photograph_share: float = 0.5
+    # longer sides: median motion between neighbouring photographs. Frames that move less have no
+    # tracks for another reason, such as noise or changing light
+    min_photograph_motion: float = 0.1
     min_matched_share: float = 0.5  # share of the photographs that match another one
     matched_views: int = 3  # previous views with which a view is matched by appearance
     min_matches: int = 15  # matches of two neighbouring views
