@@ -22,7 +22,7 @@ class SequenceTracks:
     """Tracks and views of a sequence."""
 
     observations: Sequence[Observations]  # tracks in every frame
-    # the frames from which a path is built, in order; empty if poses are given
+    # the frames from which a path is built, in order; for given poses, only of photographs
     views: Sequence[View]
     # by pair of view indices: (N, 2) int array, the indices of the detected points that match
     matches: Mapping[tuple[int, int], np.ndarray]
