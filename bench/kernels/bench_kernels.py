@@ -158,6 +158,7 @@ PLAIN = {
     "rigid.foreground_fattening": ("find_fattened",),
     "rigid.census": ("census_cost",),
     "rigid.outline_sweep": ("census_transform", "outline_cost"),
+    "rigid.weighted_median": ("weighted_median",),
     "rigid.semi_global": ("aggregate", "best_hypothesis"),
     "model.readout": ("rigid_fields",),
 }

@@ -11,6 +11,7 @@ from bench.shared.problems import UNCERTAIN_BORDER, Problem, in_single_precision
 from tisfm.kernels.rigid.foreground_fattening import find_fattened
 from tisfm.kernels.rigid.patch_match import MAX_SLOPE, PlaneSearch, plane_disagreement
 from tisfm.kernels.rigid.view_search import MISSING_FRAME_COST, ViewSearch
+from tisfm.kernels.rigid.weighted_median import weighted_median
 from tisfm.kernels.rigid.windows import MAX_GREY, UNTEXTURED
 
 NOISE = 1.5  # grey levels, deviation of the noise
@@ -30,6 +31,7 @@ FATTENING = {
     "min_step": 0.07,
     "max_difference": 0.04,
 }
+MEDIAN = {"radius": 3, "grey_scale": 5.0, "same_share": 0.02, "max_own_weight": 0.4}
 
 
 class Planes:
@@ -67,6 +69,11 @@ class Planes:
         depth, steps = self.start_planes[0], np.arange(self.levels[0].shape[1]) // 8 % 2
         outlined_depth = in_single_precision(np.abs(depth) * (1 + 0.5 * steps))
         return self.levels[0] + 100 * steps, outlined_depth, np.roll(outlined_depth, 3, axis=1)
+
+    def stepped(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return frame and inverse depth, (H, W) each, that is so coarse that medians are exact."""
+        frame, depth, _ = self.outlined()
+        return frame, np.rint(depth)
 
 
 def search_options(p: Problem) -> dict:
@@ -197,6 +204,13 @@ class PlaneOperations(TaichiSide):
         out = np.empty(arrays[0].shape, np.int32)
         return partial(find_fattened, *arrays, out, **FATTENING), lambda _: out[None].astype(float)
 
+    def weighted_median(self) -> Timed:
+        frame, depth = (np.ascontiguousarray(a, np.float32) for a in self.planes.stepped())
+        is_smoothed, out = np.ones(frame.shape, np.int32), np.empty_like(frame)
+        return partial(weighted_median, depth, frame, is_smoothed, out, **MEDIAN), lambda _: out[
+            None
+        ]
+
     def _search(self) -> PlaneSearch:
         p, levels = self.problem, [part.astype(np.float32) for part in self.planes.levels]
         return PlaneSearch(*levels, p.motions[0], **search_options(p))
@@ -231,6 +245,11 @@ class PlaneReferences(NumpySide):
     def find_fattened(self) -> Run:
         arrays = self.planes.outlined()
         return lambda: reference.find_fattened(*arrays, **FATTENING)[None].astype(float)
+
+    def weighted_median(self) -> Run:
+        frame, depth = self.planes.stepped()
+        is_smoothed = np.ones(frame.shape, bool)
+        return lambda: reference.weighted_median(depth, frame, is_smoothed, **MEDIAN)[None]
 
     def views_score(self) -> Run:
         return reference_score(self.views)

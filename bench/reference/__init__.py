@@ -49,3 +49,4 @@ from bench.reference.second_order import second_order_sweep, second_order_system
 from bench.reference.second_order import second_order_weights
 from bench.reference.smoothness import Smoothness, aubert, differences, edge_weights, image_edges
 from bench.reference.smoothness import smoothness_energy
+from bench.reference.weighted_median import weighted_median

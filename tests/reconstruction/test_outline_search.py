@@ -27,7 +27,7 @@ def wrong_share(inverse_depth, depth):
 
 
 def search(scene, inverse_depth, **options):
-    return search_outlines(*scene.first(4), inverse_depth, **options)
+    return search_outlines(*scene.first(4), inverse_depth, cell_side=2, **options)
 
 
 def test_fattened_outlines_become_sharp(scene):
@@ -41,7 +41,7 @@ def test_fattened_outlines_become_sharp(scene):
 def test_unit_of_length_does_not_matter(scene):
     key, others, motions, camera = scene.first(4)
     motions = motions * [1, 1, 1, 1000]
-    found = search_outlines(key, others, motions, camera, fattened(scene.depth) / 1000)
+    found = search_outlines(key, others, motions, camera, fattened(scene.depth) / 1000, cell_side=2)
     same = search(scene, fattened(scene.depth))
     assert (
         np.abs(1000 * found - same) > 1e-3 * same
@@ -56,7 +56,7 @@ def test_depth_without_jumps_stays(scene):
 
 def test_depth_away_from_jumps_stays(scene):
     start = fattened(scene.depth)
-    window = np.ones((15, 15), np.uint8)
+    window = np.ones((23, 23), np.uint8)
     low, high = cv2.erode(start, window), cv2.dilate(start, window)
     is_far = high - low < 0.1 * start
     assert 0.2 < is_far.mean() < 0.98
@@ -101,7 +101,9 @@ def test_right_depth_stays(near, far, width):
 
     motions = np.array([np.column_stack([np.eye(3), (-sign, 0, 0)]) for sign in (1, -1)])
     depth = np.where(is_board, near, far).astype(np.float32) / 100
-    found = search_outlines(frame(0), [frame(1), frame(-1)], motions, Camera(focal=100.0), depth)
+    found = search_outlines(
+        frame(0), [frame(1), frame(-1)], motions, Camera(focal=100.0), depth, cell_side=2
+    )
     is_wrong = np.abs(found / depth - 1) > 0.1
     assert is_wrong[is_board].mean() < 0.05
     assert is_wrong[~is_board].mean() < 0.02
@@ -119,13 +121,21 @@ def test_large_frames_are_halved(scene, monkeypatch):
     start = fattened(scene.depth)[cut]
     center = camera.center_for(480, 640)
     camera = replace(camera, center=center)
-    found = search_outlines(key[cut], [other[cut] for other in others], motions, camera, start)
+    found = search_outlines(
+        key[cut], [other[cut] for other in others], motions, camera, start, cell_side=2
+    )
     assert found.shape == start.shape
     depth = scene.depth[cut]
     assert wrong_share(found, depth) < 0.8 * wrong_share(start, depth)
     used = np.zeros(start.shape, bool)
     used[:, :317] = True  # the border of the mask lies within halved pixels
     masked = search_outlines(
-        key[cut], [other[cut] for other in others], motions, camera, start, key_mask=used
+        key[cut],
+        [other[cut] for other in others],
+        motions,
+        camera,
+        start,
+        cell_side=2,
+        key_mask=used,
     )
     np.testing.assert_array_equal(masked[~used], start[~used])

@@ -3,7 +3,8 @@
 Windows that are large enough for weak texture give the depth of a nearer surface to the strip
 behind its contour. Beside jumps of depth, every pixel is compared alone, by a census transform of
 5×5 pixels, in the frames that see it best; semi-global aggregation makes up for the small window.
-Away from jumps depth stays as it is, and holds the labels at the ends of the paths.
+Away from jumps depth stays as it is, and holds the labels at the ends of the paths. Last, a
+weighted median gives pixels at a jump to the surface of neighbours with about their grey level.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,6 +16,7 @@ from tisfm.camera import Camera
 from tisfm.kernels.layout.lanes import aligned_empty
 from tisfm.kernels.rigid.outline_sweep import MAX_BEST, census_transform, outline_cost
 from tisfm.kernels.rigid.semi_global import UNUSED_COST, aggregate, best_hypothesis
+from tisfm.kernels.rigid.weighted_median import weighted_median
 from tisfm.reconstruction.depth.settings import OUTLINES
 from tisfm.runtime import lanes
 
@@ -26,6 +28,7 @@ def search_outlines(
     camera: Camera,  # a pinhole
     inverse_depth: np.ndarray,  # (H, W) float32: 1/unit of the motions; positive
     *,
+    cell_side: int,  # px: side of the cells whose depth this is
     key_mask: np.ndarray | None = None,  # (H, W) bool: used pixels; the others keep their depth
     masks: Sequence[np.ndarray | None] | None = None,  # the same for each other frame
 ) -> np.ndarray:  # (H, W) float32
@@ -43,7 +46,8 @@ def search_outlines(
         return cv2.resize(cut.astype(np.float32), size, interpolation=cv2.INTER_AREA)
 
     depth = shrink(inverse_depth)
-    is_searched = _find_jumps(depth)
+    radius = min(OUTLINES.jump_cells * cell_side, OUTLINES.max_jump_distance) >> halvings
+    is_searched = _find_jumps(depth, radius, OUTLINES.min_jump)
     if key_mask is not None:
         is_searched &= shrink(key_mask) == 1
     if not is_searched.any():
@@ -55,8 +59,10 @@ def search_outlines(
         )
     ]
     small_camera = camera.scaled(0.5**halvings, *shape) if halvings else camera
-    sweep = _Sweep(shrink(key), np.stack(codes), motions, small_camera, depth, is_searched)
-    found, is_changed = sweep.search(), sweep.is_changed
+    small_key = shrink(key)
+    sweep = _Sweep(small_key, np.stack(codes), motions, small_camera, depth, is_searched)
+    found, is_sharpened = _sharpen(sweep.search(), small_key, is_searched)
+    is_changed = sweep.is_changed | is_sharpened
     if halvings:
         found, is_changed = (_enlarge(image, 2**halvings, shape) for image in (found, is_changed))
     return np.where(is_changed, found, inverse_depth)
@@ -165,11 +171,34 @@ class _Sweep:
         return cv2.medianBlur(np.float32(low + step * best), OUTLINES.median_window), step
 
 
-def _find_jumps(depth: np.ndarray) -> np.ndarray:
+def _sharpen(
+    depth: np.ndarray,  # (h, w) float32
+    key: np.ndarray,  # (h, w) float32
+    is_searched: np.ndarray,  # (h, w) bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return inverse depth with outlines at edges of the image, and the changed pixels, bool."""
+    is_beside = is_searched & _find_jumps(depth, OUTLINES.sharpening_radius, OUTLINES.min_jump)
+    median = np.empty_like(depth)
+    weighted_median(
+        depth,
+        key,
+        is_beside.astype(np.int32),
+        median,
+        radius=OUTLINES.sharpening_radius,
+        grey_scale=OUTLINES.sharpening_scale,
+        same_share=OUTLINES.min_surface_step,
+        max_own_weight=OUTLINES.max_own_weight,
+    )
+    # A smaller difference is the slope of one surface, which stays.
+    is_changed = np.abs(median - depth) > OUTLINES.min_surface_step * depth
+    return np.where(is_changed, median, depth), is_changed
+
+
+def _find_jumps(depth: np.ndarray, radius: int, min_jump: float) -> np.ndarray:
     """Return the pixels beside jumps of depth, (h, w) bool."""
-    square = np.ones((OUTLINES.jump_window,) * 2, np.uint8)
+    square = np.ones((2 * radius + 1,) * 2, np.uint8)
     low, high = cv2.erode(depth, square), cv2.dilate(depth, square)
-    return np.asarray(high - low > OUTLINES.min_jump * depth)
+    return np.asarray(high - low > min_jump * depth)
 
 
 def _census(frame: np.ndarray, mask: np.ndarray | None) -> np.ndarray:

@@ -119,7 +119,7 @@ def window_depth(
     inverse_depth = images[0]
     if searches_outlines:
         inverse_depth = search_outlines(
-            key, others, motions, camera, images[0], key_mask=key_mask, masks=masks
+            key, others, motions, camera, images[0], cell_side=side, key_mask=key_mask, masks=masks
         )
     return WindowDepth(
         inverse_depth=inverse_depth,
