@@ -33,10 +33,11 @@ class ObjectTracker:
     def __init__(
         self,
         motion: ImageMotion,
-        # evidence of every frame, accumulated over the frames around it
-        evidence: Sequence[Evidence],
+        evidence: Sequence[Evidence],  # of every frame
+        # the same, accumulated over the frames around it
+        accumulated: Sequence[Evidence],
     ) -> None:
-        self._motion, self._evidence = motion, evidence
+        self._motion, self._evidence, self._accumulated = motion, evidence, accumulated
         self._objects: dict[int, TrackedObject] = {}
         self._touching_frames: dict[tuple[int, int], int] = {}
 
@@ -61,9 +62,9 @@ class ObjectTracker:
         propagated = np.zeros_like(labels) if previous is None else self._propagate(frame, previous)
         objects = self._objects.values()
         confirmed = [obj.id for obj in objects if obj.core_frames >= OBJECTS.min_object_frames]
-        object_mask = np.isin(propagated, confirmed)
-        regions = list(find_moving_regions(grey, self._evidence[frame], object_mask))
         motions = SmoothMotions(self._motion, frame)
+        expected = self._expected_evidence(frame, propagated, confirmed, motions)
+        regions = list(find_moving_regions(grey, self._accumulated[frame], expected))
         for region, _ in regions:
             counts = np.bincount(propagated[region], minlength=1)
             counts[0] = 0
@@ -80,6 +81,25 @@ class ObjectTracker:
         labels = refine_boundaries(labels, self._motion, frame)
         self._update(frame, labels, regions, motions)
         return labels
+
+    def _expected_evidence(
+        self,
+        frame: int,
+        propagated: np.ndarray,  # (H, W) int32: propagated labels of the previous frame
+        ids: Sequence[int],  # ids of objects that moved in several frames
+        motions: SmoothMotions,
+    ) -> np.ndarray:
+        """Return evidence that is added where known objects are expected, (H, W) float32."""
+        expected = np.float32(OBJECTS.known_object_bonus) * np.isin(propagated, ids)
+        for number in ids:
+            core, obj = propagated == number, self._objects[number]
+            is_tracked = (
+                obj.last_frame == frame - 1 and core.sum() >= smallest_object(core.size) / 2
+            )
+            if is_tracked and obj.is_clear(int(core.sum())):
+                is_shared = motions.shared_motion(core, propagated > 0)
+                expected[is_shared] = OBJECTS.shared_motion_bonus
+        return expected
 
     def _assign_by_motion(
         self,
@@ -213,6 +233,8 @@ class ObjectTracker:
             surrounding_flow = flow[surroundings] if surroundings.any() else np.zeros((1, 2))
             obj.motions[frame] = velocity - np.median(surrounding_flow, axis=0)
             obj.positions[frame] = mask_position(mask)
+            own = self._evidence[frame]
+            obj.evidence[frame] = float(own.total[mask].sum() / max(own.weight[mask].sum(), 1e-6))
         components = cv2.connectedComponents((labels > 0).astype(np.uint8), connectivity=4)[1]
         for region, has_core in regions:
             for number in np.unique(labels[region & (labels > 0)]):

@@ -7,6 +7,7 @@ import numpy as np
 
 from tisfm.motion.objects.label_optimisation import Potts
 from tisfm.reconstruction.frames.image_motion import ImageMotion, pixel_grid, sample_image
+from tisfm.reconstruction.objects.moving_regions import extend_flow
 from tisfm.reconstruction.objects.settings import OBJECTS
 
 
@@ -32,7 +33,7 @@ def refine_boundaries(labels: np.ndarray, motion: ImageMotion, frame: int) -> np
             mask = labels == number
             core = cv2.erode(np.uint8(mask), square) > 0
             source_mask = core if core.sum() >= OBJECTS.min_core_pixels else mask
-            extended_flow = _extend_flow(flow, source_mask)
+            extended_flow = extend_flow(flow, source_mask)
             difference = np.abs(sample_image(other, grid + extended_flow) - grey)
             x, y = np.moveaxis(grid + extended_flow, -1, 0)
             is_outside = (x < 0) | (y < 0) | (x > labels.shape[1] - 1) | (y > labels.shape[0] - 1)
@@ -47,17 +48,6 @@ def refine_boundaries(labels: np.ndarray, motion: ImageMotion, frame: int) -> np
     weight = np.where(band, OBJECTS.boundary_weight, 1).astype(np.float32)
     best = numbers[Potts(grey).assign(costs.astype(np.float32), weight)]
     return np.where(band, best, labels).astype(np.int32)
-
-
-def _extend_flow(flow: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Return a flow, (H, W, 2), continued beyond a mask from the nearest pixel inside."""
-    _, nearest = cv2.distanceTransformWithLabels(
-        np.uint8(~mask), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    table = np.zeros((int(nearest.max()) + 1, 2), np.float32)
-    table[nearest[mask]] = flow[mask]
-    extrapolated = cv2.blur(table[nearest], (OBJECTS.rim_width, OBJECTS.rim_width))
-    return np.where(mask[..., None], flow, extrapolated)
 
 
 def propagate_labels(

@@ -16,15 +16,14 @@ from tisfm.reconstruction.objects.settings import OBJECTS
 def find_moving_regions(
     grey: np.ndarray,  # (H, W) float32
     evidence: Evidence,
-    object_mask: np.ndarray,  # (H, W) bool: expected pixels of objects that moved in earlier frames
+    expected: np.ndarray,  # (H, W) float32: evidence that is added where known objects are expected
 ) -> Iterator[tuple[np.ndarray, bool]]:
     """Yield moving connected regions of a frame, (H, W) bool, and whether they have a core."""
     mean_evidence = evidence.mean()
     core_pixels = (mean_evidence > OBJECTS.core_evidence) & (
         evidence.weight > OBJECTS.min_core_weight
     )
-    mean_evidence += np.float32(OBJECTS.known_object_bonus) * object_mask
-    mean_evidence -= np.float32(OBJECTS.region_evidence)
+    mean_evidence += expected - np.float32(OBJECTS.region_evidence)
     costs = np.stack([2 * np.clip(mean_evidence, 0, 3), 4 * np.clip(-mean_evidence, 0, 1)])
     weight = (evidence.weight + OBJECTS.static_prior) / OBJECTS.full_weight_frames
     weight = OBJECTS.max_data_weight * np.clip(weight, OBJECTS.min_data_share, 1)
@@ -87,6 +86,50 @@ class SmoothMotions:
             count += valid
         deviation = max([OBJECTS.min_motion_deviation, *deviations])
         return total / np.maximum(count, 1), deviation
+
+    def shared_motion(
+        self,
+        core: np.ndarray,  # (H, W) bool: known pixels of an object
+        others: np.ndarray,  # (H, W) bool: pixels of any object
+    ) -> np.ndarray:
+        """Return the pixels near an object that move like it, and not like its surroundings, bool.
+
+        A part without texture, or one that moves along epipolar lines, looks static by itself.
+        """
+        side = 1 + 2 * round(1 + OBJECTS.shared_motion_range * float(core.sum()) ** 0.5)
+        is_near = cv2.dilate(np.uint8(core), np.ones((side, side), np.uint8)) > 0
+        square = np.ones((OBJECTS.rim_width,) * 2, np.uint8)
+        inner = cv2.erode(np.uint8(core), square) > 0
+        source = inner if inner.sum() >= OBJECTS.min_core_pixels else core
+        surroundings = ~(others | is_near)
+        if not surroundings.any():
+            return np.zeros(core.shape, bool)
+        own_residual, deviation = self.residuals_from(source)
+        max_residual = OBJECTS.max_shared_deviations * max(deviation, OBJECTS.min_shared_motion)
+        total, count = (np.zeros(core.shape, np.float32) for _ in range(2))
+        for flow, valid in self._flows:
+            residual = vector_lengths(flow - extend_flow(flow, surroundings))
+            total += np.where(valid, residual, 0)
+            count += valid
+        other_residual = total / np.maximum(count, 1)
+        return (
+            is_near
+            & (count > 0)
+            & (own_residual < max_residual)
+            & (own_residual < OBJECTS.max_shared_ratio * other_residual)
+            & (other_residual > OBJECTS.min_shared_motion)
+        )
+
+
+def extend_flow(flow: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Return a flow, (H, W, 2), continued beyond a mask from the nearest pixel inside."""
+    _, nearest = cv2.distanceTransformWithLabels(
+        np.uint8(~mask), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    table = np.zeros((int(nearest.max()) + 1, 2), np.float32)
+    table[nearest[mask]] = flow[mask]
+    extrapolated = cv2.blur(table[nearest], (OBJECTS.rim_width, OBJECTS.rim_width))
+    return np.where(mask[..., None], flow, extrapolated)
 
 
 def smooth_motion(

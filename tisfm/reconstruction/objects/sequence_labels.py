@@ -64,7 +64,7 @@ class SequenceLabels:
             for frame in range(len(self._motion)):
                 self._evidence.append(frame_evidence(self._motion, frame))
         self._accumulated = accumulate_evidence(self._motion, self._evidence)
-        labels = ObjectTracker(self._motion, self._accumulated).labels()
+        labels = ObjectTracker(self._motion, self._evidence, self._accumulated).labels()
         for frame_labels in labels if ground is None else self._with_ground(labels, ground):
             yield enlarge_labels(frame_labels, self._motion.scale, self._shape)
 
@@ -115,7 +115,7 @@ class SequenceLabels:
             yield from cache
             return
         accumulated = accumulate_evidence(self._motion, evidence)
-        other_labels = ObjectTracker(self._motion, accumulated).labels()
+        other_labels = ObjectTracker(self._motion, evidence, accumulated).labels()
         for frame_labels, other in zip(cache, other_labels, strict=True):
             is_new = (frame_labels == 0) & (other > 0) & (other <= MAX_OBJECTS - max_id)
             yield np.where(is_new, other + np.uint8(max_id), frame_labels)

@@ -28,6 +28,26 @@ class TrackedObject:
     # dict of int to (3,) float64: by frame: its centre, (x, y), and its size, the square root of
     # its area, px
     positions: dict[int, np.ndarray] = field(default_factory=dict)
+    # by frame: mean evidence of its pixels in this frame alone, weighted
+    evidence: dict[int, float] = field(default_factory=dict)
+    # median of this evidence in its first frames; None before it has enough frames with a core
+    early_evidence: float | None = None
+
+    def is_clear(self, pixels: int) -> bool:
+        """Return whether it clearly moved, and was about as large as a number of pixels.
+
+        Call this first in its first frame with enough core frames, and then in every frame.
+        """
+        if self.early_evidence is None:
+            self.early_evidence = float(np.median(list(self.evidence.values())))
+        if self.early_evidence < OBJECTS.min_clear_evidence:
+            return False
+        sizes = [
+            self.positions[frame][2]
+            for frame, evidence in self.evidence.items()
+            if evidence >= OBJECTS.min_clear_evidence
+        ]
+        return bool(sizes) and pixels <= OBJECTS.max_growth * max(sizes) ** 2
 
 
 def mask_position(mask: np.ndarray) -> np.ndarray:
@@ -71,7 +91,8 @@ def final_labels(
 ) -> np.ndarray:
     """Return the final label of each object, (K,) uint8, by its id; 0 for a rejected object.
 
-    Parts of one object get one label. An object keeps its label after an occlusion.
+    Parts of one object get one label. An object keeps its label after an occlusion. An object is
+    rejected if it is short, or never moves clearly.
     """
     count = 1 + max(objects, default=0)
     root = np.arange(count)  # by id: the object that this object is a part of
@@ -96,8 +117,13 @@ def final_labels(
         members = np.flatnonzero(root == obj)
         frames = {frame for k in members for frame in objects[int(k)].motions}
         min_frames = min(OBJECTS.min_object_frames, frame_count)
+        evidence = [value for k in members for value in objects[int(k)].evidence.values()]
+        moves_clearly = bool(evidence) and (
+            np.quantile(evidence, 1 - OBJECTS.clear_frame_share) >= OBJECTS.min_clear_evidence
+        )
         core_frames = sum(objects[int(k)].core_frames for k in members)
-        if len(frames) >= min_frames and core_frames >= min_frames - 1 and number < MAX_OBJECTS:
+        is_long = len(frames) >= min_frames and core_frames >= min_frames - 1
+        if is_long and moves_clearly and number < MAX_OBJECTS:
             number += 1
             table[members] = number
     return table
@@ -122,7 +148,8 @@ def _is_part_of(smaller: TrackedObject, larger: TrackedObject, touching_frames: 
     frames = sorted(smaller.motions.keys() & larger.motions.keys())
     if touching_frames < max(1, OBJECTS.min_similar_touching * len(smaller.motions)) or not frames:
         return False
-    motions = np.array([[obj.motions[f] for f in frames] for obj in (smaller, larger)])
+    pair = smaller, larger
+    motions = np.array([[obj.motions[f] for f in frames] for obj in pair])
     speed = np.median(np.linalg.norm(motions, axis=2).max(axis=0))
     distance = np.median(np.linalg.norm(motions[0] - motions[1], axis=1))
     difference = float(distance / max(speed, 1e-9))  # as a share of the faster motion
@@ -131,7 +158,9 @@ def _is_part_of(smaller: TrackedObject, larger: TrackedObject, touching_frames: 
         and difference < OBJECTS.max_same_motion_difference
     ):
         return True
-    return (
-        touching_frames >= OBJECTS.min_common_touching * len(frames)
-        and difference < OBJECTS.max_similar_motion_difference
-    )
+    if touching_frames < OBJECTS.min_common_touching * len(frames):
+        return False
+    size = max(np.median([position[2] for position in obj.positions.values()]) for obj in pair)
+    drift = np.linalg.norm(np.cumsum(motions[0] - motions[1], axis=0), axis=1).max()
+    stays = len(frames) >= OBJECTS.min_common_frames and drift < OBJECTS.max_drift * size
+    return bool(stays or difference < OBJECTS.max_similar_motion_difference)
