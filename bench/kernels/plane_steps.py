@@ -248,8 +248,8 @@ class PlaneReferences(NumpySide):
 
     def weighted_median(self) -> Run:
         frame, depth = self.planes.stepped()
-        is_smoothed = np.ones(frame.shape, bool)
-        return lambda: reference.weighted_median(depth, frame, is_smoothed, **MEDIAN)[None]
+        arrays = depth, frame, *[np.ones(frame.shape, bool)] * 2
+        return lambda: reference.weighted_median(*arrays, **MEDIAN)[None]
 
     def views_score(self) -> Run:
         return reference_score(self.views)

@@ -111,7 +111,7 @@ TRAFFIC = {
     "views_improve": Traffic(read=(5 + VIEWS, 0), written=(4, 0)),
     "views_costs": Traffic(read=(5 + VIEWS, 0), written=(VIEWS, 0)),
     "find_fattened": Traffic(read=(3, 0), written=(1, 0)),  # frame, D, matches | out
-    "weighted_median": Traffic(read=(3, 0), written=(1, 0)),  # D, frame, pixels | out
+    "weighted_median": Traffic(read=(4, 0), written=(1, 0)),  # D, frame, pixels | out
     "plane_disagreement": Traffic(read=(8, 0), written=(1, 0)),  # planes of both frames | out
     "best_hypothesis": Traffic(read=(len(HYPOTHESES), 0), written=(1, 0)),
     "rigid_fields": Traffic(read=(2, 0), written=(8, 0)),  # D, labels | flow, ρ̂

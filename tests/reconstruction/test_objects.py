@@ -274,21 +274,27 @@ def test_parts_that_stay_together_are_one_object():
     for frame in range(10):
         objects[1].motions[frame] = np.array([0, 4.0])  # 40 px in all; a square has 20 px
     assert final_labels(objects, {(1, 2): 7}, 10).tolist() == [0, 1, 2]
+    for frame in range(10):  # two that pass each other slowly
+        objects[1].motions[frame], objects[2].motions[frame] = np.array([[0.3, 0], [-0.3, 0]])
+    assert final_labels(objects, {(1, 2): 7}, 10).tolist() == [0, 1, 2]
 
 
-def test_labels_that_never_move_clearly_are_dropped():
+def test_labels_that_hardly_ever_move_clearly_are_dropped():
     objects = {
         1: tracked(1, range(10), evidence=0.5),
         2: tracked(2, range(10), evidence=0.5),
         3: tracked(3, range(10)),
     }
-    for frame in (0, 1):
-        objects[2].evidence[frame] = 2.5  # clear in two frames of ten
+    objects[2].evidence[4] = 2.5  # clear in a tenth of its frames
     assert final_labels(objects, {}, 10).tolist() == [0, 0, 1, 2]
 
 
 def test_known_object_takes_pixels_if_it_moved_clearly():
     clear, unclear = tracked(1, range(5)), tracked(2, range(5), evidence=0.5)
+    assert not clear.is_clear(400)  # it has too few frames with a core
+    for obj in (clear, unclear):
+        obj.core_frames = 3
+        obj.add_core(True)
     assert clear.is_clear(400) and clear.is_clear(800)  # a square has 400 px
     assert not clear.is_clear(900)
     assert not unclear.is_clear(400)
@@ -340,6 +346,12 @@ def test_shared_motion_is_near_the_object_and_not_that_of_the_surroundings():
     assert not (shared & ~masks[1]).any()
     assert (shared & masks[1] & ~core).sum() > 0.6 * (masks[1] & ~core).sum()
     assert not SmoothMotions(motion, 1).shared_motion(np.ones_like(core), core).any()
+    neighbour = masks[1] & ~core  # it belongs to another object
+    assert not (SmoothMotions(motion, 1).shared_motion(core, masks[1]) & neighbour).any()
+    motions = SmoothMotions(motion, 1)
+    for _, valid in motions._flows:
+        valid &= ~core
+    assert not motions.shared_motion(core, core).any()
 
 
 def test_object_reappears_where_its_velocity_leads():

@@ -7,7 +7,7 @@ import pytest
 from tests.reconstruction.views import views
 from tisfm.camera import Camera
 from tisfm.metrics import outlines
-from tisfm.reconstruction.depth.outline_search import search_outlines
+from tisfm.reconstruction.depth.outline_search import _sharpen, search_outlines
 
 
 @pytest.fixture(scope="module")
@@ -139,3 +139,54 @@ def test_large_frames_are_halved(scene, monkeypatch):
         key_mask=used,
     )
     np.testing.assert_array_equal(masked[~used], start[~used])
+
+
+def image_with_an_edge(offset):
+    """Return grey levels with an edge at column 40, and inverse depth with a jump beside it."""
+    columns = np.arange(80)
+    key = np.where(columns < 40, 50, 150) * np.ones((60, 1), np.float32)
+    depth = np.where(columns < 40 + offset, 3, 1) * np.ones((60, 1), np.float32)
+    return key.astype(np.float32), depth.astype(np.float32)
+
+
+def sharpen(depth, key, is_used=None):
+    everywhere = np.ones(depth.shape, bool)
+    return _sharpen(depth, key, everywhere, everywhere if is_used is None else is_used)
+
+
+def test_median_moves_outlines_to_edges_of_the_image():
+    key, depth = image_with_an_edge(1)
+    sharp, is_changed = sharpen(depth, key)
+    np.testing.assert_array_equal(sharp, image_with_an_edge(0)[1])
+    np.testing.assert_array_equal(is_changed, sharp != depth)
+
+
+def test_median_keeps_slopes_and_thin_things():
+    key, _ = image_with_an_edge(0)
+    slope = np.linspace(1, 4, 80, dtype=np.float32) * np.ones((60, 1), np.float32)
+    assert not sharpen(slope, key)[1].any()
+    random = np.random.default_rng(0)
+    noise = random.uniform(0, 255, key.shape).astype(np.float32)
+    pole = np.where(np.abs(np.arange(80) - 40) < 3, 3, 1) * np.ones((60, 1), np.float32)
+    assert sharpen(pole.astype(np.float32), noise)[1].mean() < 0.01
+
+
+def test_median_ignores_masked_pixels():
+    key, depth = image_with_an_edge(1)
+    is_used = np.ones(key.shape, bool)
+    is_used[30:] = False
+    results = []
+    for masked_depth in (1, 7):
+        filled = np.where(is_used, depth, masked_depth).astype(np.float32)
+        results.append(sharpen(filled, key, is_used)[0][is_used])
+    np.testing.assert_array_equal(*results)
+
+
+def test_band_grows_with_the_cells_up_to_a_limit(scene):
+    start = fattened(scene.depth)
+    changed = {
+        side: search_outlines(*scene.first(4), start, cell_side=side) != start
+        for side in (1, 3, 4, 8)
+    }
+    assert 1.2 * changed[1].sum() < changed[3].sum()
+    np.testing.assert_array_equal(changed[4], changed[8])  # 16 px, the limit, in place of 40 px

@@ -89,17 +89,18 @@ def test_frames_are_yielded_once_and_in_order(streamed):
     assert [frame.index for frame in found] == list(range(COUNT))
     assert [frame.name for frame in found] == [f"frame_{k:06d}" for k in range(COUNT)]
     for frame, image in zip(found, swing().frames, strict=True):
-        # Depth of the worst frame is 9.4 % wrong; 10.0 % is expected, and is the limit.
-        is_certain = frame.depth_error < 0.1
-        assert frame.status == ("converged" if is_certain else "uncertain")
-        assert frame.grade.is_green == is_certain and frame.piece == 0
-        assert 0 < frame.depth_error < 0.11 and frame.depth_share > 0.4
+        is_green = frame.depth_error < 0.1
+        assert frame.status == ("converged" if is_green else "uncertain")
+        assert frame.grade.is_green == is_green and frame.piece == 0
+        # Depth of frame 15 is 7 % wrong, that of others up to 9.4 %; 10 %, the limit, is expected.
+        assert is_green or frame.index == 15
+        assert 0 < frame.depth_error < 0.105
+        assert frame.depth_share > (0.45 if frame.index == 15 else 0.5)
         assert frame.pose.shape == (4, 4) and frame.pose.dtype == np.float64
         assert frame.inverse_depth.dtype == frame.inverse_depth_std.dtype == np.float32
         assert frame.inverse_depth.shape == frame.inverse_depth_std.shape == image.shape
         assert np.abs(frame.picture.astype(float) - image).mean() < 2  # it is a JPEG
         assert frame.camera == swing().camera
-    assert sum(frame.depth_error < 0.1 for frame in found) >= COUNT - 1
     assert 3 <= sum(frame.keyframe for frame in found) < 0.6 * COUNT  # measured: 10 of 20
     assert found[0].keyframe
 

@@ -4,7 +4,7 @@ Windows that are large enough for weak texture give the depth of a nearer surfac
 behind its contour. Beside jumps of depth, every pixel is compared alone, by a census transform of
 5×5 pixels, in the frames that see it best; semi-global aggregation makes up for the small window.
 Away from jumps depth stays as it is, and holds the labels at the ends of the paths. Last, a
-weighted median gives pixels at a jump to the surface of neighbours with about their grey level.
+weighted median replaces depth at jumps by that of neighbours with a similar grey level.
 """
 
 from collections.abc import Iterator, Sequence
@@ -47,9 +47,8 @@ def search_outlines(
 
     depth = shrink(inverse_depth)
     radius = min(OUTLINES.jump_cells * cell_side, OUTLINES.max_jump_distance) >> halvings
-    is_searched = _find_jumps(depth, radius, OUTLINES.min_jump)
-    if key_mask is not None:
-        is_searched &= shrink(key_mask) == 1
+    is_used = np.ones(depth.shape, bool) if key_mask is None else shrink(key_mask) == 1
+    is_searched = is_used & _find_jumps(depth, radius, OUTLINES.min_jump)
     if not is_searched.any():
         return inverse_depth
     codes = [
@@ -60,8 +59,8 @@ def search_outlines(
     ]
     small_camera = camera.scaled(0.5**halvings, *shape) if halvings else camera
     small_key = shrink(key)
-    sweep = _Sweep(small_key, np.stack(codes), motions, small_camera, depth, is_searched)
-    found, is_sharpened = _sharpen(sweep.search(), small_key, is_searched)
+    sweep = _Sweep(small_key, np.stack(codes), motions, small_camera, depth, is_searched, radius)
+    found, is_sharpened = _sharpen(sweep.search(), small_key, is_searched, is_used)
     is_changed = sweep.is_changed | is_sharpened
     if halvings:
         found, is_changed = (_enlarge(image, 2**halvings, shape) for image in (found, is_changed))
@@ -79,6 +78,7 @@ class _Sweep:
         camera: Camera,
         depth: np.ndarray,  # (h, w) float32
         is_searched: np.ndarray,  # (h, w) bool
+        radius: int,  # px: distance of the jumps beside which depth is searched
     ) -> None:
         lengths = np.linalg.norm(motions[:, :, 3], axis=1)
         self._unit = float(lengths.max())
@@ -89,6 +89,8 @@ class _Sweep:
         # D in px of the frame with the longest baseline
         self._scale = np.float32(self._unit * camera.focal)
         self._depth, self._is_searched = depth * self._scale, is_searched
+        # A block may have a surface of the jump beside it alone: both give its range.
+        self._limits = _limits(self._depth, radius)
         # (h, w) bool: pixels whose depth the search changed
         self.is_changed = np.zeros(depth.shape, bool)
 
@@ -128,7 +130,9 @@ class _Sweep:
         low, high = (
             float(factor * limit)
             for factor, limit in zip(
-                OUTLINES.range_factors, (guess.min(), guess.max()), strict=True
+                OUTLINES.range_factors,
+                (self._limits[0][block].min(), self._limits[1][block].max()),
+                strict=True,
             )
         )
         count = int(np.clip(np.ceil((high - low) / OUTLINES.step), 2, OUTLINES.max_hypotheses))
@@ -175,6 +179,7 @@ def _sharpen(
     depth: np.ndarray,  # (h, w) float32
     key: np.ndarray,  # (h, w) float32
     is_searched: np.ndarray,  # (h, w) bool
+    is_used: np.ndarray,  # (h, w) bool: pixels whose depth counts
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return inverse depth with outlines at edges of the image, and the changed pixels, bool."""
     is_beside = is_searched & _find_jumps(depth, OUTLINES.sharpening_radius, OUTLINES.min_jump)
@@ -183,6 +188,7 @@ def _sharpen(
         depth,
         key,
         is_beside.astype(np.int32),
+        is_used.astype(np.int32),
         median,
         radius=OUTLINES.sharpening_radius,
         grey_scale=OUTLINES.sharpening_scale,
@@ -196,9 +202,14 @@ def _sharpen(
 
 def _find_jumps(depth: np.ndarray, radius: int, min_jump: float) -> np.ndarray:
     """Return the pixels beside jumps of depth, (h, w) bool."""
-    square = np.ones((2 * radius + 1,) * 2, np.uint8)
-    low, high = cv2.erode(depth, square), cv2.dilate(depth, square)
+    low, high = _limits(depth, radius)
     return np.asarray(high - low > min_jump * depth)
+
+
+def _limits(depth: np.ndarray, radius: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the least and the largest depth in a window around every pixel, (h, w) each."""
+    square = np.ones((2 * radius + 1,) * 2, np.uint8)
+    return np.asarray(cv2.erode(depth, square)), np.asarray(cv2.dilate(depth, square))
 
 
 def _census(frame: np.ndarray, mask: np.ndarray | None) -> np.ndarray:

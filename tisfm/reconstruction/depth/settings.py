@@ -226,8 +226,9 @@ class OutlineSettings:
     jump_cost: float = 1.2
     edge: float = 10.0  # difference of grey levels at which a jump has half its cost
     median_window: int = 5  # px: side of the median that removes single wrong pixels
-    # weighted median that moves outlines to edges of the image: half the side of its window, px,
-    # and the difference of grey levels at which a neighbour has half its weight
+    # weighted median that moves outlines to edges of the image: half the side of its window, px
+    # of the searched frame, and the difference of grey levels at which a neighbour has half its
+    # weight
     sharpening_radius: int = 3
     sharpening_scale: float = 5.0
     # share of the weight in the window: a pixel with more of it on its own surface stays there, so

@@ -91,13 +91,15 @@ class ObjectTracker:
     ) -> np.ndarray:
         """Return evidence that is added where known objects are expected, (H, W) float32."""
         expected = np.float32(OBJECTS.known_object_bonus) * np.isin(propagated, ids)
+        counts = np.bincount(propagated.ravel())
         for number in ids:
-            core, obj = propagated == number, self._objects[number]
-            is_tracked = (
-                obj.last_frame == frame - 1 and core.sum() >= smallest_object(core.size) / 2
-            )
-            if is_tracked and obj.is_clear(int(core.sum())):
-                is_shared = motions.shared_motion(core, propagated > 0)
+            obj = self._objects[number]
+            if obj.last_frame != frame - 1 or number >= len(counts):
+                continue
+            if counts[number] >= smallest_object(propagated.size) / 2 and obj.is_clear(
+                int(counts[number])
+            ):
+                is_shared = motions.shared_motion(propagated == number, propagated > 0)
                 expected[is_shared] = OBJECTS.shared_motion_bonus
         return expected
 
@@ -213,7 +215,7 @@ class ObjectTracker:
         motions: SmoothMotions,
     ) -> None:
         """Update the state of the objects in a frame, and count their touching pairs."""
-        flow = motions.flow
+        flow, own = motions.flow, self._evidence[frame]
         for number in np.unique(labels[labels > 0]):
             obj, mask = self._objects[number], labels == number
             neighbourhood = cv2.dilate(np.uint8(mask), np.ones((5, 5), np.uint8)) > 0
@@ -233,12 +235,11 @@ class ObjectTracker:
             surrounding_flow = flow[surroundings] if surroundings.any() else np.zeros((1, 2))
             obj.motions[frame] = velocity - np.median(surrounding_flow, axis=0)
             obj.positions[frame] = mask_position(mask)
-            own = self._evidence[frame]
             obj.evidence[frame] = float(own.total[mask].sum() / max(own.weight[mask].sum(), 1e-6))
         components = cv2.connectedComponents((labels > 0).astype(np.uint8), connectivity=4)[1]
         for region, has_core in regions:
             for number in np.unique(labels[region & (labels > 0)]):
-                self._objects[int(number)].core_frames += has_core
+                self._objects[int(number)].add_core(has_core)
         for component in range(1, components.max() + 1):
             ids = [int(number) for number in np.unique(labels[components == component])]
             for i, first in enumerate(ids):

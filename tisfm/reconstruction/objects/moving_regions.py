@@ -90,35 +90,43 @@ class SmoothMotions:
     def shared_motion(
         self,
         core: np.ndarray,  # (H, W) bool: known pixels of an object
-        others: np.ndarray,  # (H, W) bool: pixels of any object
+        object_pixels: np.ndarray,  # (H, W) bool: known pixels of all objects
     ) -> np.ndarray:
         """Return the pixels near an object that move like it, and not like its surroundings, bool.
 
         A part without texture, or one that moves along epipolar lines, looks static by itself.
         """
-        side = 1 + 2 * round(1 + OBJECTS.shared_motion_range * float(core.sum()) ** 0.5)
-        is_near = cv2.dilate(np.uint8(core), np.ones((side, side), np.uint8)) > 0
-        square = np.ones((OBJECTS.rim_width,) * 2, np.uint8)
-        inner = cv2.erode(np.uint8(core), square) > 0
+        result = np.zeros(core.shape, bool)
+        radius = 1 + round(OBJECTS.shared_motion_range * float(core.sum()) ** 0.5)
+        left, top, width, height = cv2.boundingRect(np.uint8(core))
+        margin = radius + OBJECTS.surroundings_width
+        window = np.s_[
+            max(0, top - margin) : top + height + margin,
+            max(0, left - margin) : left + width + margin,
+        ]
+        core, object_pixels = core[window], object_pixels[window]
+        is_near = cv2.dilate(np.uint8(core), np.ones((2 * radius + 1,) * 2, np.uint8)) > 0
+        inner = cv2.erode(np.uint8(core), np.ones((OBJECTS.rim_width,) * 2, np.uint8)) > 0
         source = inner if inner.sum() >= OBJECTS.min_core_pixels else core
-        surroundings = ~(others | is_near)
-        if not surroundings.any():
-            return np.zeros(core.shape, bool)
-        own_residual, deviation = self.residuals_from(source)
-        max_residual = OBJECTS.max_shared_deviations * max(deviation, OBJECTS.min_shared_motion)
-        total, count = (np.zeros(core.shape, np.float32) for _ in range(2))
-        for flow, valid in self._flows:
-            residual = vector_lengths(flow - extend_flow(flow, surroundings))
-            total += np.where(valid, residual, 0)
+        own, other, count = (np.zeros(core.shape, np.float32) for _ in range(3))
+        deviation = OBJECTS.min_shared_motion
+        for whole_flow, whole_valid in self._flows:
+            flow, valid = np.ascontiguousarray(whole_flow[window]), whole_valid[window]
+            inside, outside = source & valid, valid & ~(object_pixels | is_near)
+            if inside.sum() < OBJECTS.min_motion_pixels or not outside.any():
+                continue
+            residual = vector_lengths(flow - smooth_motion(flow, inside))
+            deviation = max(deviation, 1.48 * float(np.median(residual[inside])))
+            own += np.where(valid, residual, 0)
+            other += np.where(valid, vector_lengths(flow - extend_flow(flow, outside)), 0)
             count += valid
-        other_residual = total / np.maximum(count, 1)
-        return (
-            is_near
-            & (count > 0)
-            & (own_residual < max_residual)
-            & (own_residual < OBJECTS.max_shared_ratio * other_residual)
-            & (other_residual > OBJECTS.min_shared_motion)
+        own, other = own / np.maximum(count, 1), other / np.maximum(count, 1)
+        is_shared = (own < OBJECTS.max_shared_deviations * deviation) & (
+            own < OBJECTS.max_shared_ratio * other
         )
+        is_shared &= is_near & (count > 0) & (other > OBJECTS.min_shared_motion)
+        result[window] = is_shared & (core | ~object_pixels)
+        return result
 
 
 def extend_flow(flow: np.ndarray, mask: np.ndarray) -> np.ndarray:

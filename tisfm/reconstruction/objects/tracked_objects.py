@@ -33,20 +33,18 @@ class TrackedObject:
     # median of this evidence in its first frames; None before it has enough frames with a core
     early_evidence: float | None = None
 
-    def is_clear(self, pixels: int) -> bool:
-        """Return whether it clearly moved, and was about as large as a number of pixels.
-
-        Call this first in its first frame with enough core frames, and then in every frame.
-        """
-        if self.early_evidence is None:
+    def add_core(self, has_core: bool) -> None:
+        """Count a frame whose region has a core, or has none."""
+        self.core_frames += has_core
+        if has_core and self.core_frames == OBJECTS.min_object_frames:
             self.early_evidence = float(np.median(list(self.evidence.values())))
-        if self.early_evidence < OBJECTS.min_clear_evidence:
+
+    def is_clear(self, pixels: int) -> bool:
+        """Return whether it moved clearly at first, and later at about this number of pixels."""
+        limit = OBJECTS.min_clear_evidence
+        if self.early_evidence is None or self.early_evidence < limit:
             return False
-        sizes = [
-            self.positions[frame][2]
-            for frame, evidence in self.evidence.items()
-            if evidence >= OBJECTS.min_clear_evidence
-        ]
+        sizes = [self.positions[k][2] for k, evidence in self.evidence.items() if evidence >= limit]
         return bool(sizes) and pixels <= OBJECTS.max_growth * max(sizes) ** 2
 
 
@@ -92,7 +90,7 @@ def final_labels(
     """Return the final label of each object, (K,) uint8, by its id; 0 for a rejected object.
 
     Parts of one object get one label. An object keeps its label after an occlusion. An object is
-    rejected if it is short, or never moves clearly.
+    rejected if it has few frames, or moves clearly in few of them.
     """
     count = 1 + max(objects, default=0)
     root = np.arange(count)  # by id: the object that this object is a part of
@@ -110,18 +108,19 @@ def final_labels(
     for later in sorted(objects):  # objects that reappear
         if root[later] == later and (earlier := _earlier_object(objects, later, root)):
             root[root == later] = root[earlier]
-    table, number = np.zeros(count, np.uint8), 0
+    table, number, limit = np.zeros(count, np.uint8), 0, OBJECTS.min_clear_evidence
     for obj in sorted(objects):
         if root[obj] != obj:
             continue
         members = np.flatnonzero(root == obj)
         frames = {frame for k in members for frame in objects[int(k)].motions}
         min_frames = min(OBJECTS.min_object_frames, frame_count)
-        evidence = [value for k in members for value in objects[int(k)].evidence.values()]
-        moves_clearly = bool(evidence) and (
-            np.quantile(evidence, 1 - OBJECTS.clear_frame_share) >= OBJECTS.min_clear_evidence
-        )
         core_frames = sum(objects[int(k)].core_frames for k in members)
+        is_clear = [
+            any(objects[int(k)].evidence.get(frame, -1.0) >= limit for k in members)
+            for frame in frames
+        ]
+        moves_clearly = bool(is_clear) and np.mean(is_clear) >= OBJECTS.min_clear_share
         is_long = len(frames) >= min_frames and core_frames >= min_frames - 1
         if is_long and moves_clearly and number < MAX_OBJECTS:
             number += 1
@@ -161,6 +160,12 @@ def _is_part_of(smaller: TrackedObject, larger: TrackedObject, touching_frames: 
     if touching_frames < OBJECTS.min_common_touching * len(frames):
         return False
     size = max(np.median([position[2] for position in obj.positions.values()]) for obj in pair)
-    drift = np.linalg.norm(np.cumsum(motions[0] - motions[1], axis=0), axis=1).max()
-    stays = len(frames) >= OBJECTS.min_common_frames and drift < OBJECTS.max_drift * size
+    relative = motions[0] - motions[1]
+    drift = np.linalg.norm(np.cumsum(relative, axis=0), axis=1).max()
+    speed = np.linalg.norm(motions.mean(axis=1), axis=1).max()
+    stays = (
+        len(frames) >= OBJECTS.min_common_frames
+        and drift <= OBJECTS.max_drift * size
+        and np.linalg.norm(relative.mean(axis=0)) <= OBJECTS.max_same_motion_difference * speed
+    )
     return bool(stays or difference < OBJECTS.max_similar_motion_difference)
