@@ -108,7 +108,7 @@ class SmoothMotions:
         is_near = cv2.dilate(np.uint8(core), np.ones((2 * radius + 1,) * 2, np.uint8)) > 0
         inner = cv2.erode(np.uint8(core), np.ones((OBJECTS.rim_width,) * 2, np.uint8)) > 0
         source = inner if inner.sum() >= OBJECTS.min_core_pixels else core
-        own, other, count = (np.zeros(core.shape, np.float32) for _ in range(3))
+        own, other, count = np.zeros((3, *core.shape), np.float32)
         deviation = OBJECTS.min_shared_motion
         for whole_flow, whole_valid in self._flows:
             flow, valid = np.ascontiguousarray(whole_flow[window]), whole_valid[window]
