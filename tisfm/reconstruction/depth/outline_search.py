@@ -104,8 +104,9 @@ class _Sweep:
                 for part, whole in zip(inner, outer, strict=True)
             )
             new, old = block[rows, columns], self._depth[inner]
-            # Within half a step, the old depth is more exact.
-            is_changed = self._is_searched[inner] & (np.abs(new - old) > step / 2)
+            # On the same surface, the old depth is more exact.
+            min_change = np.maximum(step / 2, OUTLINES.min_change * old)
+            is_changed = self._is_searched[inner] & (np.abs(new - old) > min_change)
             self.is_changed[inner] = is_changed
             found[inner][is_changed] = new[is_changed]
         return found / self._scale

@@ -225,6 +225,9 @@ class OutlineSettings:
     step_cost: float = 0.2
     jump_cost: float = 1.2
     edge: float = 10.0  # difference of grey levels at which a jump has half its cost
+    # Least change of the inverse depth by the search, as a share: on the same surface, the depth
+    # before is more exact.
+    min_change: float = 0.05
     median_window: int = 5  # px: side of the median that removes single wrong pixels
     # weighted median that moves outlines to edges of the image: half the side of its window, px
     # of the searched frame, and the difference of grey levels at which a neighbour has half its
