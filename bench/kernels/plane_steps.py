@@ -206,10 +206,9 @@ class PlaneOperations(TaichiSide):
 
     def weighted_median(self) -> Timed:
         frame, depth = (np.ascontiguousarray(a, np.float32) for a in self.planes.stepped())
-        is_smoothed, out = np.ones(frame.shape, np.int32), np.empty_like(frame)
-        return partial(weighted_median, depth, frame, is_smoothed, out, **MEDIAN), lambda _: out[
-            None
-        ]
+        everywhere, out = np.ones(frame.shape, np.int32), np.empty_like(frame)
+        arrays = depth, frame, everywhere, everywhere, out
+        return partial(weighted_median, *arrays, **MEDIAN), lambda _: out[None]
 
     def _search(self) -> PlaneSearch:
         p, levels = self.problem, [part.astype(np.float32) for part in self.planes.levels]
