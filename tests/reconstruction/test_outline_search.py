@@ -180,6 +180,7 @@ def test_median_ignores_masked_pixels():
         filled = np.where(is_used, depth, masked_depth).astype(np.float32)
         results.append(sharpen(filled, key, is_used)[0][is_used])
     np.testing.assert_array_equal(*results)
+    assert (results[0] != depth[is_used]).any()
 
 
 def test_band_grows_with_the_cells_up_to_a_limit(scene):

@@ -79,8 +79,9 @@ class ObjectSettings:
     min_core_share: float = 0.15  # pixels of a core divided by the pixels of its region
     known_object_bonus: float = 0.4  # mean evidence that is added where a known object is expected
     # Evidence that is added where a pixel near a known object shares its motion. It was chosen on
-    # two clips of DAVIS: IoU of car-shadow was 0.70 with 1, 0.77 with 1.5, 0.84 with 2 and with 3;
-    # camel hardly changed. The other limits of shared motion were set by hand.
+    # two clips of DAVIS, with an earlier form of the rule: IoU of car-shadow was 0.70 with 1, 0.77
+    # with 1.5, 0.84 with 3; camel hardly changed. The other limits of shared motion were set by
+    # hand.
     shared_motion_bonus: float = 2.0
     # distance of such pixels from the object, divided by the square root of its area
     shared_motion_range: float = 0.25
@@ -149,7 +150,7 @@ class ObjectSettings:
     max_drift: float = 0.35
     # Least share of an object's frames in which it moves clearly, and the mean evidence of its
     # pixels in such a frame. All nine things in seven clips of DAVIS reach 2.4 in a tenth of their
-    # frames; six of thirteen wrong labels, the largest ones among them, do not reach 2.
+    # frames; six of twelve wrong labels do not reach 2.
     min_clear_share: float = 0.1
     min_clear_evidence: float = 2.0
     # label_propagation

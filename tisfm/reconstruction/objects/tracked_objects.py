@@ -40,7 +40,7 @@ class TrackedObject:
             self.early_evidence = float(np.median(list(self.evidence.values())))
 
     def is_clear(self, pixels: int) -> bool:
-        """Return whether it moved clearly at first, and later at about this number of pixels."""
+        """Return whether it moved clearly in its first frames, and at an area like this one."""
         limit = OBJECTS.min_clear_evidence
         if self.early_evidence is None or self.early_evidence < limit:
             return False
@@ -162,10 +162,10 @@ def _is_part_of(smaller: TrackedObject, larger: TrackedObject, touching_frames: 
     size = max(np.median([position[2] for position in obj.positions.values()]) for obj in pair)
     relative = motions[0] - motions[1]
     drift = np.linalg.norm(np.cumsum(relative, axis=0), axis=1).max()
-    speed = np.linalg.norm(motions.mean(axis=1), axis=1).max()
+    mean_speed = np.linalg.norm(motions.mean(axis=1), axis=1).max()
     stays = (
         len(frames) >= OBJECTS.min_common_frames
         and drift <= OBJECTS.max_drift * size
-        and np.linalg.norm(relative.mean(axis=0)) <= OBJECTS.max_same_motion_difference * speed
+        and np.linalg.norm(relative.mean(axis=0)) <= OBJECTS.max_same_motion_difference * mean_speed
     )
     return bool(stays or difference < OBJECTS.max_similar_motion_difference)
