@@ -54,6 +54,14 @@ def test_no_depth_has_no_error():
     assert np.isnan(error) and share == 0
 
 
+def test_a_path_that_fits_badly_multiplies_the_deviations():
+    inverse_depth = np.full(SHAPE, 0.5)
+    error, share = depth_error(inverse_depth, 0.06 * inverse_depth, residual_factor=2.0)
+    assert error == pytest.approx(0.12 * GRADES.median_ratio) and share == 1
+    error, share = depth_error(inverse_depth, 0.06 * inverse_depth, residual_factor=3.0)
+    assert error == pytest.approx(0.18 * GRADES.median_ratio) and share == 0
+
+
 def test_an_uncertain_focal_length_adds_an_error():
     inverse_depth = np.full(SHAPE, 0.5)
     sure = depth_error(inverse_depth, 0 * inverse_depth, 0.04)

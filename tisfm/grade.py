@@ -101,13 +101,17 @@ def depth_error(
     focal_deviation: float = 0.0,
     # relative error of depth over relative error of the focal length; None for the usual effect
     focal_effect: float | None = None,
+    # by how much the residual of the path exceeds that of the motion that fits the images best
+    residual_factor: float = 1.0,
 ) -> tuple[float, float]:
     """Return the expected relative error of the depth of a frame, and the share of good pixels.
 
     The expected error is the median over pixels of the relative deviation, as a median error, with
-    what an uncertain focal length adds. It is at most 1, and NaN without depth. The share is that
-    of pixels whose expected error is at most 10 %. A pixel without depth has an infinite deviation.
-    Pixels whose depth is filled from their surroundings do not count.
+    what an uncertain focal length adds. If a path fits the images worse than another motion does,
+    its deviations are multiplied by the ratio of the residuals. The expected error is at most 1,
+    and NaN without depth. The share is that of pixels whose expected error is at most 10 %. A pixel
+    without depth has an infinite deviation. Pixels whose depth is filled from their surroundings do
+    not count.
     """
     step = 1 + int(np.sqrt(inverse_depth.size / GRADES.max_pixels))
     inverse_depth, deviation = inverse_depth[::step, ::step], deviation[::step, ::step]
@@ -119,7 +123,7 @@ def depth_error(
     np.divide(deviation, inverse_depth, out=relative, where=has_deviation)
     focal_deviation = min(focal_deviation, GRADES.guessed_focal_deviation)
     expected = np.hypot(
-        GRADES.median_ratio * relative[has_deviation | ~has_depth],
+        GRADES.median_ratio * residual_factor * relative[has_deviation | ~has_depth],
         (GRADES.focal_effect if focal_effect is None else focal_effect) * focal_deviation,
     )
     if not has_deviation.any():

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,9 +12,10 @@ from tests.exports.made import made
 from tisfm.cli.batch import _median_grade
 from tisfm.formats import FormatError
 from tisfm.grade import GRADES, Grade, summarise_grades
-from tisfm.reconstruction.result.calibration import Calibration
-from tisfm.reconstruction.result.folder import RECORD, write_mask
+from tisfm.reconstruction.result.calibration import GIVEN, Calibration
+from tisfm.reconstruction.result.folder import RECORD, write_depth, write_mask
 from tisfm.reconstruction.result.statuses import add_piece_note, mark_uncertain
+from tisfm.reconstruction.stages.writing import _find_depth_errors
 from tisfm.report.reconstruction_report import _report
 from tisfm.results.sequence_frames import SequenceFrames
 from tisfm.status import Status
@@ -43,6 +45,28 @@ def test_grades_of_frames(tmp_path):
     np.testing.assert_array_equal(again.depth_share, graded.depth_share)
     assert json.loads((tmp_path / "saved" / RECORD).read_text())["grade"] == words
     assert again.rescaled(0, 1, 3.0).grades == again.grades
+
+
+@pytest.mark.parametrize("ratio", [1.0, 3.0])
+def test_expected_errors_grow_with_the_residual_of_the_path(tmp_path, ratio):
+    result = made(tmp_path, count=3, piece=[0, 0, -1], with_depth=[0, 1])
+    for frame in (0, 1):
+        write_depth(tmp_path, frame, np.full(result.shape, 0.5), np.full(result.shape, 0.01))
+    depth = SimpleNamespace(
+        error=np.array([0.02, 0.02, np.nan]) * GRADES.median_ratio,
+        share=np.array([1.0, 1.0, 0.0]),
+        piece=result.piece,
+    )
+    errors, shares = _find_depth_errors(
+        SimpleNamespace(folder=tmp_path),
+        SimpleNamespace(frames=SimpleNamespace(shape=result.shape)),
+        GIVEN,
+        depth,
+        (SimpleNamespace(residual_factor=ratio),),
+        (),
+    )
+    np.testing.assert_allclose(errors, depth.error * ratio, rtol=1e-3)
+    np.testing.assert_array_equal(shares, depth.share)
 
 
 def test_saved_copy_keeps_the_mask_of_fixed_pixels(tmp_path):

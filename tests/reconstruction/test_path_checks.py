@@ -21,7 +21,7 @@ from tisfm.reconstruction.path_checks.pieces import choose_second_frame
 from tisfm.reconstruction.result.calibration import GIVEN
 from tisfm.reconstruction.result.focal_note import find_focal_note
 from tisfm.reconstruction.result.folder import FIXED_MASK
-from tisfm.reconstruction.result.path_check import PairEvidence, PathCheck
+from tisfm.reconstruction.result.path_check import UNCHECKED, PairEvidence, PathCheck
 from tisfm.reconstruction.result.statuses import mark_contradicted
 from tisfm.reconstruction.streaming import stream_checks
 from tisfm.reconstruction.tracks.tracker import Observations
@@ -194,6 +194,12 @@ def check_of(fixed_share=0.0, infinity_motion=5.0, **changes):
         changes = {"zoom_gain": 1.2} | changes
     pair = replace(GOOD, **changes)
     return PathCheck(pairs=(pair,), fixed_share=fixed_share, infinity_motion=infinity_motion)
+
+
+def test_residual_factor_is_the_median_ratio_of_at_least_one():
+    assert UNCHECKED.residual_factor == check_of(residual_ratio=0.9).residual_factor == 1
+    pairs = tuple(replace(GOOD, residual_ratio=ratio) for ratio in (1.0, 3.0, 2.0))
+    assert replace(UNCHECKED, pairs=pairs).residual_factor == 2
 
 
 def test_a_zoom_that_does_not_lower_the_residual_is_no_objection():

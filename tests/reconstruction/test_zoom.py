@@ -214,6 +214,18 @@ def test_constant_focal_length_needs_no_richer_camera(monkeypatch, zoom, lens, n
     assert (window.rich.cost < REVISION.max_cost * window.base.cost) == needed
 
 
+@pytest.mark.parametrize(
+    ("views", "frames"),
+    [
+        ([0, 7, 15], [0, 2, 4, 6, 7, 9, 11, 13, 15]),
+        (range(0, 16, 2), range(0, 16, 2)),
+    ],
+)
+def test_frames_join_few_views(views, frames):
+    piece = replace(piece_of(range(16)), views=tuple(views))
+    assert path_bundle.choose_frames(path_of(piece)) == list(frames)
+
+
 @pytest.mark.parametrize("rate", [0.0, 0.02])
 def test_zoom_along_a_forward_motion_is_an_objection(rate):
     frames = range(12)

@@ -26,6 +26,7 @@ from tisfm.reconstruction.path.hidden_zoom import (
 from tisfm.reconstruction.path.lens_revision import revise_lens
 from tisfm.reconstruction.path.path_bundle import (
     adjust_largest_piece,
+    choose_frames,
     choose_largest_piece,
     compare_costs,
     count_posed_frames,
@@ -53,14 +54,15 @@ def revise_path(
     Otherwise the path itself is returned, with an objection if its camera does not fit its tracks,
     or with a doubt if its focal length is not known well.
     """
-    if not REVISION.min_views <= count_views(path) <= SUBMAPS.max_views:
+    if not 0 < count_views(path) <= SUBMAPS.max_views:
         return path
     free = () if solver.calibrate == "nothing" else ("focal",)
     fits_badly = _fits_badly(path, solver.tracks)
     max_cost = REVISION.max_cost_of_poor_path if fits_badly else REVISION.max_cost
     windows = compare_cameras(path, free, solver.tracks.shape)
     revised = path
-    if any(window.rich.cost < max_cost * window.base.cost for window in windows):
+    is_poor = any(window.rich.cost < max_cost * window.base.cost for window in windows)
+    if is_poor and count_views(path) >= REVISION.min_views:
         zoomed = _solve_zoom(path, solver, instants, free)
         if zoomed is not None and _shows_zoom(path, zoomed, solver):
             return zoomed.path
@@ -87,11 +89,11 @@ def compare_cameras(
     free: Sequence[str],  # unknowns of the camera that the path was solved with
     shape: tuple[int, int],  # height and width of the frames, px
 ) -> list[CameraComparison]:
-    """Return, for windows of the views of the largest piece, how a richer camera fits them."""
-    views = list(choose_largest_piece(path).views)
+    """Return, for windows of frames of the largest piece, how a richer camera fits them."""
+    frames = choose_frames(path)
     windows = []
-    for begin in range(0, len(views), REVISION.window_views):
-        window = views[begin : begin + REVISION.window_views]
+    for begin in range(0, len(frames), REVISION.window_frames):
+        window = frames[begin : begin + REVISION.window_frames]
         if len(window) < REVISION.min_views:
             continue
         bundle = make_bundle(path, shape, window)

@@ -24,6 +24,20 @@ def count_views(path: CameraPath) -> int:
     return len(choose_largest_piece(path).views) if path.pieces_with_positions else 0
 
 
+def choose_frames(path: CameraPath) -> list[int]:
+    """Return the frames of the largest piece that show whether one camera suffices, in order.
+
+    They are its views; if these are few, frames that are spread over the piece join them. A zoom of
+    a forward motion shows in the curvature of paths over many frames only.
+    """
+    piece = choose_largest_piece(path)
+    if len(piece.views) >= REVISION.min_frames:
+        return list(piece.views)
+    frames = list(piece.poses)
+    places = np.linspace(0, len(frames) - 1, REVISION.min_frames).round().astype(int)
+    return sorted({*piece.views, *(frames[place] for place in places)})
+
+
 def count_posed_frames(path: CameraPath) -> int:
     """Return the number of frames with a pose."""
     return sum(len(piece.poses) for piece in path.pieces)

@@ -14,7 +14,10 @@ class RevisionSettings:
     """
 
     min_views: int = 4  # views of a piece whose camera is revised
-    window_views: int = 24  # views that are adjusted together to see whether one camera suffices
+    # frames that show whether one camera suffices: frames between views join fewer views. A street
+    # that zooms by 2 % a frame had 3 views; in 8 of its frames, the zoom is 7 deviations better
+    min_frames: int = 8
+    window_frames: int = 24  # frames that are adjusted together
     base_steps: int = 8  # steps of an adjustment with one camera; the path is near its optimum
     rich_steps: int = 15  # and with a richer camera
     # robust cost with a richer camera over that with one: with less, the path is solved again

@@ -159,6 +159,15 @@ class PathCheck:
         known_values = [value for value in values if value is not None]
         return float(np.median(known_values)) if known_values else float("nan")
 
+    @property
+    def residual_factor(self) -> float:
+        """By how much the residual exceeds that of the free motions, at least 1; 1 without pairs.
+
+        Deviations of depth that take the path as right are too small by this factor.
+        """
+        ratio = self.median("residual_ratio")
+        return 1.0 if np.isnan(ratio) else max(ratio, 1.0)
+
     def as_json(self) -> dict[str, Any]:
         """Return the numbers for JSON."""
         return {

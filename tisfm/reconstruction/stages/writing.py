@@ -38,7 +38,6 @@ def write_result(
     del about["shape"]  # the camera file already has the width and the height
     write_camera(job.folder / CAMERA, path_result.camera, reading.camera.shape, about=about)
     objects: tuple[MovingObject, ...] = ()
-    errors, shares = depth.error.copy(), depth.share.copy()
     if job.has_objects:
         from tisfm.reconstruction.objects.object_depth import objects_with_depth
 
@@ -50,12 +49,7 @@ def write_result(
             with_depth=job.depth_of != "none",
             sizes=job.object_sizes,
         )
-        for frame in {frame for obj in objects for frame in obj.frames}:
-            if not np.isnan(errors[frame]):  # objects changed its depth
-                depth_of_frame = read_depth(job.folder, frame, reading.frames.shape)
-                errors[frame], shares[frame] = depth_error(
-                    *depth_of_frame, calibration.relative_focal_std
-                )
+    errors, shares = _find_depth_errors(job, reading, calibration, depth, checks, objects)
     result = Reconstruction(
         poses=depth.poses,
         piece=depth.piece,
@@ -84,6 +78,32 @@ def write_result(
         write_mask(job.folder, path_result.fixed_pixels)
     write_record(job.folder, result)
     return result
+
+
+def _find_depth_errors(
+    job: Job,
+    reading: ReadingResult,
+    calibration: Calibration,
+    depth: DepthResult,
+    checks: tuple[PathCheck, ...],
+    objects: tuple[MovingObject, ...],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the expected error of depth and the share of good pixels of each frame, (N,) each.
+
+    They change where objects changed the depth, and in pieces whose path fits the images worse than
+    another motion does.
+    """
+    errors, shares = depth.error.copy(), depth.share.copy()
+    changed_frames = {frame for obj in objects for frame in obj.frames}
+    for frame, piece in enumerate(depth.piece.tolist()):
+        factor = checks[piece].residual_factor if piece >= 0 else 1.0
+        if np.isnan(errors[frame]) or (factor == 1 and frame not in changed_frames):
+            continue
+        depth_of_frame = read_depth(job.folder, frame, reading.frames.shape)
+        errors[frame], shares[frame] = depth_error(
+            *depth_of_frame, calibration.relative_focal_std, residual_factor=factor
+        )
+    return errors, shares
 
 
 def _find_statuses(

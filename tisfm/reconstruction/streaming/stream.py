@@ -283,7 +283,12 @@ class Stream:
         error, share = math.nan, 0.0
         if depth is not None:
             focal_deviation = self._calibration.relative_focal_std
-            error, share = depth_error(depth.inverse_depth, depth.deviation, focal_deviation)
+            error, share = depth_error(
+                depth.inverse_depth,
+                depth.deviation,
+                focal_deviation,
+                residual_factor=self._checks.residual_factor(piece),
+            )
             (status,) = mark_uncertain([status], np.array([error]))
         return StreamedFrame(
             index=index,

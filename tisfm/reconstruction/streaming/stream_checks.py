@@ -50,6 +50,11 @@ class StreamChecks:
                 )
         return contradictions
 
+    def residual_factor(self, number: int) -> float:
+        """Return `PathCheck.residual_factor` of a piece, from its last pairs of frames."""
+        pairs = tuple(self._evidence.get(number, ()))
+        return PathCheck(pairs=pairs, fixed_share=0.0, infinity_motion=0.0).residual_factor
+
     def _check_piece(self, number: int, piece: Piece, first: int, last: int) -> PathCheck:
         """Check the path of a piece by pairs that begin at new frames, and by earlier pairs.
 
