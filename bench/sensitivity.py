@@ -70,7 +70,10 @@ STAGES = {  # settings objects by the inputs that reach them
         f"{RECONSTRUCTION}.chunks.settings.CHUNKING",
         f"{RECONSTRUCTION}.submaps.settings.SUBMAPS",
     ],
-    ("bodies",): [f"{RECONSTRUCTION}.objects.settings.OBJECTS"],
+    ("bodies",): [
+        f"{RECONSTRUCTION}.objects.settings.OBJECTS",
+        f"{RECONSTRUCTION}.objects.settings.STANDING",
+    ],
     ("paths",): [
         "tisfm.grade.GRADES",
         *(

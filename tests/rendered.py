@@ -78,6 +78,7 @@ three_blocks = shared(scenes.three_blocks)
 two_blocks = shared(scenes.two_blocks)
 bodies_film = shared(scenes.bodies_film)
 room_film = shared(scenes.room_film)
+walkers_film = shared(scenes.walkers_film)
 
 
 def shared_interpretation(frame0, frame1, **options):

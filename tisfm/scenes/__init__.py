@@ -21,6 +21,7 @@ from .geometry import Box, Plane
 from .render import Scene, SyntheticPair
 from .room import Film, room, room_film
 from .texture import Patch, Texture
+from .walkers import WalkersFilm, walkers_film
 
 __all__ = [
     "STATIC_KINDS",
@@ -32,6 +33,7 @@ __all__ = [
     "Scene",
     "SyntheticPair",
     "Texture",
+    "WalkersFilm",
     "bare_patches",
     "bodies_film",
     "bodies_path",
@@ -41,4 +43,5 @@ __all__ = [
     "static_scene",
     "three_blocks",
     "two_blocks",
+    "walkers_film",
 ]

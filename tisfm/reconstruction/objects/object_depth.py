@@ -2,10 +2,11 @@
 
 The motion of an object gives its path in an arbitrary unit. The scale is the factor from this unit
 to the unit of the world. The scale comes from a known size, or from the contact of the object with
-the ground, or, roughly, from the depth around the object.
+the ground, or, roughly, from the depth around the object. An object without a path has the depth of
+the place where it stands.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +18,11 @@ from tisfm.motion.objects.depth import contact_scale
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.objects.object_path import ObjectPath, find_object_path
 from tisfm.reconstruction.objects.settings import OBJECTS
+from tisfm.reconstruction.objects.standing_depth import (
+    StandingDepth,
+    find_standing_depths,
+    look_at_objects,
+)
 from tisfm.reconstruction.result.folder import depth_path, read_depth, write_depth
 from tisfm.reconstruction.result.moving_object import MovingObject, ScaleFrom, labelled_objects
 from tisfm.settings import Settings
@@ -93,8 +99,13 @@ def objects_with_depth(
     with_depth: bool = True,  # whether depth is computed in addition to paths
     # known lengths of objects by their ids, in the unit of the poses
     sizes: Mapping[int, float] | None = None,
+    has_exact_labels: bool = False,  # whether the user gave the labels
 ) -> tuple[MovingObject, ...]:
-    """Return the moving objects. Their depth is written into the depth files of the frames."""
+    """Return the moving objects. Their depth is written into the depth files of the frames.
+
+    In frames in which its motion shows no depth, an object gets the depth of the place where it
+    stands.
+    """
 
     def static_depth(frame: int) -> np.ndarray:
         return read_depth(folder, frame, frames.shape)[0]
@@ -103,7 +114,9 @@ def objects_with_depth(
     largest = int(np.bincount(valid_pieces).argmax()) if len(valid_pieces) else 0
     world_poses = np.where((piece == largest)[:, None, None], poses, np.nan)
     moving_objects = []
+    without_depth: dict[int, set[int]] = {}  # frames of each object, by its id
     for obj in labelled_objects(len(poses), frames.labels):
+        without_depth[obj.id] = set(obj.frames)
         path = find_object_path(obj, frames, settings, with_depth=with_depth)
         if isinstance(path, str):
             moving_objects.append(replace(obj, message=path))
@@ -127,7 +140,72 @@ def objects_with_depth(
             inverse_depth[object_pixels] = depth.inverse_depth[object_pixels] / scale
             deviation[object_pixels] = depth.deviation[object_pixels] / scale
             write_depth(folder, frame, inverse_depth, deviation)
-    return tuple(moving_objects)
+            without_depth[obj.id].discard(frame)
+    if not with_depth:
+        return tuple(moving_objects)
+    standing_depths = _find_standing_depths(
+        frames, folder, piece, moving_objects, without_depth, sizes or {}, has_exact_labels
+    )
+    _write_standing_depths(frames, folder, standing_depths, without_depth)
+    return tuple(
+        _with_standing_depth(obj, standing_depths.get(obj.id, [])) for obj in moving_objects
+    )
+
+
+def _find_standing_depths(
+    frames: PreparedFrames,
+    folder: Path,
+    piece: np.ndarray,  # (N,) int
+    objects: Sequence[MovingObject],
+    without_depth: Mapping[int, set[int]],  # frames of each object, by its id
+    sizes: Mapping[int, float],
+    has_exact_labels: bool,
+) -> dict[int, list[StandingDepth]]:
+    """Return the depth from the places where they stand of objects that lack depth, by id."""
+
+    def static_depth(frame: int) -> tuple[np.ndarray, np.ndarray] | None:
+        is_written = depth_path(folder, frame).exists()
+        return read_depth(folder, frame, frames.shape) if is_written else None
+
+    lacking = [obj for obj in objects if without_depth[obj.id]]
+    focal = frames.camera.focal
+    sights = look_at_objects(lacking, focal, static_depth, frames.labels)
+    return find_standing_depths(
+        sights, piece, focal, sizes=sizes, has_exact_labels=has_exact_labels
+    )
+
+
+def _write_standing_depths(
+    frames: PreparedFrames,
+    folder: Path,
+    standing_depths: Mapping[int, Sequence[StandingDepth]],  # by object id
+    without_depth: Mapping[int, set[int]],  # frames of each object, by its id
+) -> None:
+    """Write depth from the places where objects stand into the frames that lack it."""
+    by_frame: dict[int, dict[int, tuple[float, float]]] = {}
+    for object_id, depths in standing_depths.items():
+        for depth in depths:
+            for frame, *values in zip(
+                depth.frames, depth.inverse_depth, depth.deviation, strict=True
+            ):
+                if frame in without_depth[object_id] and depth_path(folder, frame).exists():
+                    by_frame.setdefault(frame, {})[object_id] = (values[0], values[1])
+    for frame, of_objects in by_frame.items():
+        inverse_depth, deviation = read_depth(folder, frame, frames.shape)
+        labels = frames.labels(frame)
+        for object_id, (value, value_deviation) in of_objects.items():
+            inverse_depth[labels == object_id] = value
+            deviation[labels == object_id] = value_deviation
+        write_depth(folder, frame, inverse_depth, deviation)
+
+
+def _with_standing_depth(obj: MovingObject, depths: Sequence[StandingDepth]) -> MovingObject:
+    """Return an object whose scale and message name its depth from the place where it stands."""
+    if not depths or obj.scale_from != "none":
+        return obj
+    longest = max(depths, key=lambda depth: len(depth.frames))
+    message = f"{obj.message}; its depth is that of the place where it stands"
+    return replace(obj, scale_from=longest.scale_from, message=message)
 
 
 def with_world_path(

@@ -184,4 +184,47 @@ class ObjectSettings:
         return self.static_evidence / 2
 
 
+@dataclass(frozen=True, kw_only=True)
+class StandingSettings:
+    """How far away an object stands whose motion shows no depth; set by hand.
+
+    `short_weight` was chosen on a rendered film of two walkers, with found and with exact labels.
+    """
+
+    # The ground is sought in the surroundings of the feet: over `ground_reach` of the height of the
+    # object below them and to both sides, and over `ground_above` above them.
+    ground_reach: float = 0.5
+    ground_above: float = 0.1
+    min_ground_pixels: int = 30
+    max_ground_pixels: int = 600  # pixels that are used; for speed
+    trials: int = 100  # planes through three pixels that are compared
+    min_determinant: float = 1.0  # px²: twice the area of a triangle of pixels
+    ground_tolerance: float = 0.03  # relative distance of a pixel of the ground from its plane
+    min_ground_share: float = 0.4  # share of the pixels that are near the plane
+    min_slope: float = 0.05  # relative change of the ground's inverse depth over the height
+    cut_distance: int = 2  # px from the border of the frame: a label that is nearer may be cut
+    ring_width: int = 15  # px: width of the ring of surroundings
+    nearest_quantile: float = 0.9  # quantile of inverse depth that counts as the nearest
+    min_contacts: int = 2  # frames with a contact
+    # standard deviations of logarithms of inverse depth: of one contact; of the nearest
+    # surroundings; of the known size of an object; of its height in the frame
+    contact_std: float = 0.1
+    around_std: float = 0.4
+    size_std: float = 0.1
+    height_std: float = 0.07
+    # and of changes: from frame to frame, and of this change
+    change_std: float = 0.03
+    bend_std: float = 0.01
+    # deviation of the lower end of a label that was found, and of one that the user gave, over the
+    # height of the object
+    end_std: float = 0.1
+    exact_end_std: float = 0.02
+    # weight of a contact that is farther away than the object, and of a height that is too small
+    short_weight: float = 0.25
+    thickness: float = 0.25  # deviation of depth within an object, over its narrower side
+    iterations: int = 12
+    min_precision: float = 1e-9  # of an unknown
+
+
 OBJECTS = ObjectSettings()
+STANDING = StandingSettings()

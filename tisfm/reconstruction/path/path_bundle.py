@@ -27,11 +27,11 @@ def count_views(path: CameraPath) -> int:
 def choose_frames(path: CameraPath) -> list[int]:
     """Return the frames of the largest piece that show whether one camera suffices, in order.
 
-    They are its views; if these are few, frames that are spread over the piece join them. A zoom of
-    a forward motion shows in the curvature of paths over many frames only.
+    They are its views. If these are too few, frames that are spread over the piece join them: a
+    zoom of a forward motion shows in the curvature of paths over many frames only.
     """
     piece = choose_largest_piece(path)
-    if len(piece.views) >= REVISION.min_frames:
+    if len(piece.views) >= REVISION.min_views:
         return list(piece.views)
     frames = list(piece.poses)
     places = np.linspace(0, len(frames) - 1, REVISION.min_frames).round().astype(int)

@@ -14,8 +14,8 @@ class RevisionSettings:
     """
 
     min_views: int = 4  # views of a piece whose camera is revised
-    # frames that show whether one camera suffices: frames between views join fewer views. A street
-    # that zooms by 2 % a frame had 3 views; in 8 of its frames, the zoom is 7 deviations better
+    # frames that show whether one camera suffices, in a piece with fewer views than `min_views`: a
+    # street that zooms by 2 % a frame had 3; in 8 of its frames, the zoom is 7 deviations better
     min_frames: int = 8
     window_frames: int = 24  # frames that are adjusted together
     base_steps: int = 8  # steps of an adjustment with one camera; the path is near its optimum
