@@ -1,4 +1,4 @@
-"""Sequences with true masks of moving objects: clips of DAVIS, and the film of bodies."""
+"""Sequences with true masks of moving objects: clips of DAVIS, and rendered films."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,14 +12,16 @@ from tisfm.camera import Camera
 from tisfm.evaluation.moving_objects import find_true_masks
 from tisfm.formats import read_image
 from tisfm.formats.label_picture import read_label_picture
-from tisfm.scenes import BodiesFilm, bodies_film, bodies_path
+from tisfm.rigid import pose_matrix
+from tisfm.scenes import Film, bodies_film, bodies_path, walkers_film
 
 FOLDER = "davis"  # in the folder of sequences
 DAVIS = "DAVIS"  # group of clips
-BODIES = "bodies"  # group of clips
-FRAMES = 40  # of the film
-SIZE = (240, 320)  # px, height and width of the film
-SMOKE_FRAMES = 6  # of the film in a smoke run
+RENDERED = "rendered"  # group of clips
+RENDERED_CLIPS = ("bodies", "walkers", "walkers, back")
+FRAMES = 40  # of a rendered film
+SIZE = (240, 320)  # px, height and width of a rendered film
+SMOKE_SIZE, SMOKE_FRAMES = (60, 80), 6  # in a smoke run
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -29,7 +31,8 @@ class Clip:
     frames: list[NDArray[np.uint8]]  # (H, W) grey or (H, W, 3) RGB
     truth: list[NDArray[np.uint8]]  # (H, W); 0 for the static scene, else the object
     camera: Camera | None = None
-    film: BodiesFilm | None = None  # of a rendered clip, with the true paths
+    film: Film | None = None  # of a rendered clip, with the true depth and camera path
+    body_poses: NDArray[np.float64] | None = None  # (K, N, 4, 4), object to world, of rigid objects
 
     @property
     def grey(self) -> list[NDArray[np.uint8]]:
@@ -42,16 +45,31 @@ def grey_of(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:  # (H, W)
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(frame), cv2.COLOR_RGB2GRAY), np.uint8)
 
 
-def render_clip(*, small: bool = False) -> Clip:
-    height, width = (60, 80) if small else SIZE
-    film = bodies_film(bodies_path(SMOKE_FRAMES if small else FRAMES), height, width)
+def render_clip(name: str, *, small: bool = False) -> Clip:
+    """Render one of `RENDERED_CLIPS`: boxes that fly through a room, or walkers in a street."""
+    count, size = (SMOKE_FRAMES, SMOKE_SIZE) if small else (FRAMES, SIZE)
+    path = bodies_path(count)
+    if name == "bodies":
+        bodies = bodies_film(path, *size)
+        return _clip_of(name, bodies, bodies.labels, bodies.body_poses)
+    if name == "walkers, back":
+        steps = [(0.03 * k, 0, -0.02 * k, 0, 0.002 * k, 0) for k in range(count)]
+        path = np.array([pose_matrix(step) for step in steps])
+    walkers = walkers_film(path, *size, seed=len(name))
+    return _clip_of(name, walkers, walkers.labels, None)
+
+
+def _clip_of(
+    name: str, film: Film, labels: NDArray[np.uint8], body_poses: NDArray[np.float64] | None
+) -> Clip:
     return Clip(
-        name="bodies",
-        group=BODIES,
+        name=name,
+        group=RENDERED,
         frames=list(film.frames),
-        truth=list(film.labels),
+        truth=list(labels),
         camera=film.camera,
         film=film,
+        body_poses=body_poses,
     )
 
 

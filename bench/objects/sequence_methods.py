@@ -42,6 +42,9 @@ class ClipLabels:
     seconds: float  # of the whole clip
     objects: tuple[Any, ...] = ()  # moving objects, from `tisfm.reconstruct`; else empty
     cameras: NDArray[np.float64] | None = None  # (N, 4, 4), camera to world
+    # (H, W) for each frame: depth, and the standard deviation of inverse depth
+    depth: Sequence[NDArray] | None = None
+    deviation: Sequence[NDArray] | None = None
 
 
 class Labeller(Protocol):
@@ -153,9 +156,12 @@ class Reconstruct:
             raise MethodFailure(" ".join(str(error).split())) from None
         if not hasattr(result, "labels"):
             raise MethodFailure("the result has no labels")
+        numbers = range(len(clip.frames))
         yield ClipLabels(
             variant="",
-            labels=[np.asarray(result.labels(k)) for k in range(len(clip.frames))],
+            labels=[np.asarray(result.labels(k)) for k in numbers],
+            depth=[np.asarray(result.depth(k), np.float32) for k in numbers],
+            deviation=[np.asarray(result.inverse_depth_std(k), np.float32) for k in numbers],
             seconds=seconds,
             objects=tuple(result.objects),
             cameras=np.asarray(result.poses),

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.objects.clips import Clip
+from bench.objects.mask_scores import ObjectDepthScore, boundary_f, object_depth_score, union_iou
 from bench.objects.sequence_methods import ClipLabels
 from bench.shared.results import EMPTY_CELL, Table
 from tisfm.metrics import LabelScores, ObjectPathErrors, label_scores, object_path_errors
@@ -23,6 +24,12 @@ class ClipScore:
     # Share of the frames with an object in which a label follows it, over all objects.
     followed: float = 0.0
     switches: int = 0
+    union: float = 0.0  # region similarity of all labels and all objects
+    boundary: float = 0.0  # boundary F of all labels and all objects
+    with_depth: float = 0.0  # share of the frames of labels in which the label has depth
+    # of rendered clips with labels: as for `ObjectDepthScore`
+    depth: float | None = None
+    order: float | None = None
     seconds: float = 0.0  # per frame
     # Errors for each true object; None without a label or a known path.
     paths: tuple[ObjectPathErrors | None, ...] = ()
@@ -32,6 +39,7 @@ class ClipScore:
 def score_clip(method: str, clip: Clip, result: ClipLabels) -> ClipScore:
     scores = label_scores(result.labels, clip.truth)
     present = sum(item.present for item in scores.objects)
+    depth = _depth(clip, result)
     return ClipScore(
         method=method,
         variant=result.variant,
@@ -40,16 +48,44 @@ def score_clip(method: str, clip: Clip, result: ClipLabels) -> ClipScore:
         iou=scores.iou,
         followed=sum(item.followed for item in scores.objects) / present,
         switches=scores.switches,
+        union=union_iou(result.labels, clip.truth),
+        boundary=boundary_f(result.labels, clip.truth),
+        with_depth=_share_with_depth(result),
+        depth=None if depth is None else depth.error,
+        order=None if depth is None else depth.order,
         seconds=result.seconds / len(clip.frames),
         paths=_paths(clip, result, scores),
     )
+
+
+def _depth(clip: Clip, result: ClipLabels) -> ObjectDepthScore | None:
+    """Compare the depth of the objects with the true one, if both are known."""
+    if (
+        clip.film is None
+        or result.depth is None
+        or not any(np.any(labels) for labels in result.labels)
+    ):
+        return None
+    return object_depth_score(result.depth, result.labels, clip.film.depth, clip.truth)
+
+
+def _share_with_depth(result: ClipLabels) -> float:
+    """Return the share of the frames of labels in which the label has depth."""
+    if result.deviation is None:
+        return 0.0
+    has_depth = [
+        bool(np.isfinite(deviation[labels == number]).any())
+        for labels, deviation in zip(result.labels, result.deviation, strict=True)
+        for number in np.unique(labels[labels > 0])
+    ]
+    return fmean(has_depth) if has_depth else 0.0
 
 
 def _paths(
     clip: Clip, result: ClipLabels, scores: LabelScores
 ) -> tuple[ObjectPathErrors | None, ...]:
     """Compare the path of each object with the true one, if both are known."""
-    if clip.film is None or result.cameras is None:
+    if clip.film is None or clip.body_poses is None or result.cameras is None:
         return ()
     by_id = {estimate.id: estimate for estimate in result.objects}
     errors: list[ObjectPathErrors | None] = []
@@ -60,7 +96,7 @@ def _paths(
             continue
         poses = np.full((len(clip.frames), 4, 4), np.nan)
         poses[list(estimate.frames)] = estimate.poses
-        truth: NDArray[np.float64] = clip.film.body_poses[item.object_id - 1]
+        truth: NDArray[np.float64] = clip.body_poses[item.object_id - 1]
         errors.append(object_path_errors(poses, truth, result.cameras, clip.film.poses))
     return tuple(errors)
 
@@ -81,7 +117,9 @@ def table(scores: Sequence[ClipScore]) -> Table:
     clips = list(dict.fromkeys(s.clip for s in scores))
     several = len(clips) > 1
     head = ["method", *(f"{clip} IoU" for clip in clips), *(["mean"] if several else [])]
-    head += ["followed, %", "switches", "s/frame"]
+    head += ["union", "F", "followed, %", "switches", "with depth, %", "s/frame"]
+    depths = any(s.depth is not None for s in scores)
+    head += ["depth, %", "order, %"] if depths else []
     paths = any(s.paths for s in scores)
     head += ["path, %", "turn, °"] if paths else []
     rows = []
@@ -98,13 +136,19 @@ def table(scores: Sequence[ClipScore]) -> Table:
                 else EMPTY_CELL
             )
         if successful:
-            row.append(f"{100 * fmean(s.followed for s in successful):.0f}")
             row += [
+                f"{fmean(s.union for s in successful):.3f}",
+                f"{fmean(s.boundary for s in successful):.3f}",
+                f"{100 * fmean(s.followed for s in successful):.0f}",
                 str(sum(s.switches for s in successful)),
+                _percent_mean([s.with_depth for s in successful if s.with_depth]),
                 f"{fmean(s.seconds for s in successful):#.3g}",
             ]
         else:
-            row += [EMPTY_CELL] * 3
+            row += [EMPTY_CELL] * 6
+        if depths:
+            row.append(_percent_mean([s.depth for s in successful if s.depth is not None]))
+            row.append(_percent_mean([s.order for s in successful if s.order is not None]))
         if paths:
             row += _path_cells([error for s in successful for error in s.paths])
         rows.append(row)
@@ -133,6 +177,10 @@ def details(scores: Sequence[ClipScore]) -> Table:
         rows.append(row)
     head = [word for group in groups for word in (f"{group} IoU", f"{group} switches")]
     return Table(["method", "variant", *head], rows)
+
+
+def _percent_mean(shares: Sequence[float]) -> str:
+    return f"{100 * fmean(shares):.1f}" if shares else EMPTY_CELL
 
 
 def _iou(score: ClipScore | None) -> str:

@@ -1,21 +1,30 @@
 """``python -m bench.objects.sequences``: labels of moving objects over whole sequences.
 
-Clips of DAVIS, if a folder of real sequences has them, and a rendered film of three bodies. Peers
+Clips of DAVIS, if a folder of real sequences has them, and rendered films: three boxes that fly
+through a room, and people who walk in a street. Peers
 are background subtraction after a homography, and clusters of flow. DeepFlow needs the environment
 of ``python -m bench.peers --prepare DIR``. The tables and all figures are written to bench/results.
 """
 
 import argparse
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 from rich.console import Console
 
 from bench.objects.__main__ import FLOWS, RECORDED_OPTIONS, groups
-from bench.objects.clips import BODIES, DAVIS, Clip, davis_clip, davis_folders, render_clip
+from bench.objects.clips import (
+    DAVIS,
+    RENDERED,
+    RENDERED_CLIPS,
+    Clip,
+    davis_clip,
+    davis_folders,
+    render_clip,
+)
 from bench.objects.sequence_methods import (
     Differences,
     FlowClusters,
@@ -38,12 +47,18 @@ from bench.shared.results import (
 from bench.shared.sequences import data_folder
 from tisfm import runtime
 
-TITLES = {DAVIS: "Clips of DAVIS", BODIES: "Film of bodies"}
+TITLES = {DAVIS: "Clips of DAVIS", RENDERED: "Rendered films"}
 NOTES = (
     "IoU: intersection over union of a true object and the one label that is assigned to it for "
     "the whole clip, mean over the frames with either of them, then over objects. Followed: share "
     "of the frames with an object in which some label has an IoU of 0.5 or more with it; switches: "
     "number of changes of that label (`tisfm.metrics.label_scores`).",
+    "Union and F: of all labels and all objects together, mean over frames: region similarity, and "
+    "the F measure of the boundaries, within 0.8 % of the diagonal, as DAVIS defines it.",
+    "Depth: of walkers and boxes, the median over frames of the median error of the labelled "
+    "pixels, in the one scale in which the scene at rest is right. Order: share of the labelled "
+    "pixels beside an occluder at rest that are behind it. With depth: share of the frames of "
+    "labels in which the label has depth.",
     "Every peer is shown in its variant with the best mean IoU over the clips of a table; all "
     "variants are listed below. tisfm has one variant for all clips.",
     "Difference: of each frame from both or either of its neighbours at a distance of some frames, "
@@ -63,13 +78,14 @@ NOTES = (
 
 def clips(options: argparse.Namespace) -> Iterator[Clip]:
     """Yield the clips that the options name, one at a time, since they are large."""
-    folder = None if options.smoke else data_folder(options.data)
-    clip_folders: list[Path | None] = [None, *([] if folder is None else davis_folders(folder))]
-    chosen = choose(
-        clip_folders, options.pairs, kind="clip", name=lambda it: it.name if it else "bodies"
-    )
-    for item in chosen:
-        yield render_clip(small=options.smoke) if item is None else davis_clip(item)
+    data = None if options.smoke else data_folder(options.data)
+    readers: dict[str, Callable[[], Clip]] = {
+        name: partial(render_clip, name, small=options.smoke) for name in RENDERED_CLIPS
+    }
+    for folder in [] if data is None else davis_folders(data):
+        readers[folder.name] = partial(davis_clip, folder)
+    for name in choose(list(readers), options.pairs, kind="clip", name=str):
+        yield readers[name]()
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:

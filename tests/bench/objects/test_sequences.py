@@ -11,6 +11,7 @@ import pytest
 import tisfm
 from bench.objects import segmentation, sequences
 from bench.objects.clips import davis_clip, davis_folders, neighbours, render_clip
+from bench.objects.mask_scores import boundary_f, object_depth_score, union_iou
 from bench.objects.segmentation import one_label, track_parts
 from bench.objects.sequence_methods import ClipLabels, Reconstruct
 from bench.objects.sequence_scores import ClipScore, best, details, score_clip, table
@@ -23,7 +24,7 @@ THREADS = str(os.cpu_count())  # as the tests started Taichi
 
 @pytest.fixture(scope="module")
 def clip():
-    return render_clip(small=True)
+    return render_clip("bodies", small=True)
 
 
 def panned(count=5, size=(120, 180)):
@@ -145,7 +146,7 @@ def test_scores_are_those_of_the_metrics(clip):
     assert perfect.iou == 1 and perfect.followed == 1 and perfect.switches == 0
     assert perfect.seconds == 2 and perfect.paths == ()
     items = tuple(
-        SimpleNamespace(id=k + 1, frames=(0, 1, 2, 4), poses=clip.film.body_poses[k, [0, 1, 2, 4]])
+        SimpleNamespace(id=k + 1, frames=(0, 1, 2, 4), poses=clip.body_poses[k, [0, 1, 2, 4]])
         for k in (0, 1)
     )
     found = ClipLabels(
@@ -155,7 +156,7 @@ def test_scores_are_those_of_the_metrics(clip):
     assert paths[2] is None and [error.frames for error in paths[:2]] == [4, 4]
     assert paths[0].share < 1e-6
     rows = table([perfect, score_clip("b", clip, found)]).rows
-    assert rows[0] == ["a (x)", "1.000", "100", "0", "2.00", "–", "–"]
+    assert rows[0] == ["a (x)", "1.000", "1.000", "1.000", "100", "0", "–", "2.00", "–", "–"]
     assert rows[1][-2:] == ["0.0 (1 not found)", "0.0"]
 
 
@@ -169,10 +170,10 @@ def test_peers_are_compared_at_their_best():
     ]
     assert best(scores) == scores[2:]
     (row,) = table(scores).rows
-    assert row[:4] == ["a (y)", "0.600", "0.600", "0.600"] and row[5] == "3"
+    assert row[:4] == ["a (y)", "0.600", "0.600", "0.600"] and row[7] == "3"
     assert details(scores).rows == [["a", "x", "0.500", "0"], ["a", "y", "0.600", "3"]]
     failed = ClipScore(method="b", group="DAVIS", clip="one", variant="", failure="no")
-    assert table([*scores, failed]).rows[1] == ["b", *["–"] * 6]
+    assert table([*scores, failed]).rows[1] == ["b", *["–"] * 9]
 
 
 def test_a_result_with_labels_is_read(clip, monkeypatch):
@@ -180,15 +181,51 @@ def test_a_result_with_labels_is_read(clip, monkeypatch):
 
     def reconstruct(frames, **options):
         asked.append(options)
-        return SimpleNamespace(labels=lambda k: clip.truth[k], objects=(), poses=clip.film.poses)
+        return SimpleNamespace(
+            labels=lambda k: clip.truth[k],
+            depth=lambda k: 2 * clip.film.depth[k],
+            inverse_depth_std=lambda k: np.where(clip.truth[k] == 1, np.inf, 0.01),
+            objects=(),
+            poses=clip.film.poses,
+        )
 
     monkeypatch.setattr(tisfm, "reconstruct", reconstruct)
     (found,) = Reconstruct("fast").run(clip)
     assert asked[0]["settings"].motion == "objects" and asked[0]["camera"] == clip.camera
-    assert score_clip("tisfm", clip, found).iou == 1
+    score = score_clip("tisfm", clip, found)
+    assert score.iou == score.union == score.boundary == 1
+    assert score.depth == pytest.approx(0, abs=1e-6)
+    frames = [set(np.unique(mask)) - {0} for mask in clip.truth]
+    known = sum(len(numbers - {1}) for numbers in frames)
+    assert score.with_depth == pytest.approx(known / sum(map(len, frames)))
     monkeypatch.setattr(tisfm, "reconstruct", lambda frames, **_: SimpleNamespace())
     with pytest.raises(MethodFailure, match="no labels"):
         next(Reconstruct("fast").run(clip))
+
+
+def test_union_and_boundary_of_masks():
+    truth = np.zeros((100, 100), np.uint8)
+    truth[20:60, 20:60] = 1
+    shifted = np.roll(truth, 1, axis=1)
+    assert union_iou([truth, 3 * truth], [truth, truth]) == boundary_f([truth], [truth]) == 1
+    assert union_iou([shifted], [truth]) == pytest.approx(39 / 41)
+    assert boundary_f([shifted], [truth]) == 1  # within 2 px
+    assert boundary_f([np.roll(truth, 10, axis=1)], [truth]) < 0.7
+    none = np.zeros_like(truth)
+    assert union_iou([none], [truth]) == boundary_f([none], [truth]) == 0
+    assert union_iou([none], [none]) == boundary_f([none], [none]) == 1
+
+
+@pytest.mark.parametrize(("post", "order"), [(1.0, 1.0), (9.0, 0.0)])
+def test_depth_of_objects_is_compared_in_the_scale_of_the_scene(post, order):
+    labels = np.zeros((60, 80), np.uint8)
+    labels[20:50, 30:42] = 1
+    depth = np.where(labels == 1, 4.0, 8.0)
+    depth[:, 42:50] = 2.0  # a post in front of the object
+    found = np.where(labels == 1, 1.1 * depth, depth)
+    found[:, 42:50] = post
+    score = object_depth_score([found / 3], [labels], depth[None], [labels])
+    assert score.error == pytest.approx(0.1) and score.order == order
 
 
 @pytest.mark.nightly
