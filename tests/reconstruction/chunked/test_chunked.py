@@ -223,8 +223,6 @@ def test_other_processes_find_the_same(frames, found, tmp_path):
     ("source", "options", "error", "text"),
     [
         ("film", {"chunk": 11}, ValueError, "chunk is 11: expected a number of frames, at least"),
-        ("film", {"settings": tisfm.Settings.preset("fast", motion="objects")}, ValueError,
-         "do not share the ids"),
         ("film", {"mask": np.ones((120, 160), bool)}, TypeError, "mask is ndarray"),
         ("film", {"poses": np.tile(np.eye(4), (3, 1, 1))}, ValueError, "poses are 3"),
         ("film", {"poses": np.tile(np.eye(4), (COUNT, 1, 1)), "bad_frames": "skip"}, ValueError,

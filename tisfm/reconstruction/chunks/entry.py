@@ -75,7 +75,7 @@ class ChunkedRun:
         The folder of the result. Until the result is complete, its subfolder ``.tisfm-chunks`` has
         the chunks.
     camera, calibrate, settings, poses, depth_of, fixed_pixels
-        As for `tisfm.reconstruct`. The settings need ``motion="camera"``.
+        As for `tisfm.reconstruct`.
     step, start, stop, size, crop, bad_frames
         As for `tisfm.reconstruct`.
     mask : path, optional
@@ -95,8 +95,7 @@ class ChunkedRun:
     Raises
     ------
     OSError, TypeError, ValueError
-        As `tisfm.reconstruct`; if the source is a webcam or arrays; if chunks are too short; or if
-        the settings have ``motion="objects"``.
+        As `tisfm.reconstruct`; if the source is a webcam or arrays; or if chunks are too short.
     """
 
     def __init__(
@@ -123,11 +122,6 @@ class ChunkedRun:
         others: Mapping[str, Any] | None = None,
     ) -> None:
         settings = resolve_settings(settings)
-        if settings.motion == "objects":
-            raise InputError(
-                'motion is "objects", but chunks do not share the ids of moving objects: '
-                "reconstruct in one process"
-            )
         check_chunk(chunk)
         if mask is not None and not is_path(mask):
             raise InputTypeError(

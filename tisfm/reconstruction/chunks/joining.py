@@ -9,6 +9,7 @@ import numpy as np
 from tisfm.camera_file import FILE_NAME as CAMERA
 from tisfm.formats.atomic import link_or_copy
 from tisfm.formats.npz import NpzFile, write_npz
+from tisfm.reconstruction.chunks.moving_objects import write_joined_objects
 from tisfm.reconstruction.chunks.placement import ChunkPlacement, ChunkResult
 from tisfm.reconstruction.result.folder import CACHE, PICTURES, depth_path, write_mask, write_record
 from tisfm.reconstruction.result.path_check import PathCheck
@@ -44,6 +45,8 @@ def write_joined_result(
     masks = [mask for part in parts if (mask := part.result.mask) is not None]
     if masks:
         write_mask(folder, np.logical_or.reduce(masks))
+    has_objects = first.settings.motion == "objects"
+    objects = write_joined_objects(folder, parts, placements) if has_objects else ()
     results = [parts[placement.part].result for placement in placements]
     pieces = [placement.piece for placement in placements]
     checks = _joined_checks(parts, placements)
@@ -85,6 +88,7 @@ def write_joined_result(
         shape=first.shape,
         folder=folder,
         version=first.version,
+        objects=objects,
     )
     write_record(folder, result)
     return result

@@ -5,6 +5,7 @@ A world is a set of pieces in common coordinates. The joined result has one piec
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -38,6 +39,14 @@ class ChunkResult:
                 "has changed meanwhile"
             )
         return cls(result=result, frames={index: number for number, index in enumerate(indices)})
+
+    @cached_property
+    def _sources(self) -> dict[int, int]:
+        return {number: index for index, number in self.frames.items()}
+
+    def source(self, number: int) -> int:
+        """Return the number in the source of a frame of the result."""
+        return self._sources[number]
 
     def piece(self, index: int) -> int:
         """Return the piece of a frame; −1 for none."""

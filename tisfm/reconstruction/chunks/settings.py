@@ -24,6 +24,9 @@ class ChunkSettings:
     # standard deviation of the scale; depth and positions drift along a chunk, which limits the
     # certainty of every estimate
     min_scale_deviation: float = 0.01
+    # moving_objects
+    # intersection over union, in the shared frames, of labels of one object in two chunks
+    min_object_overlap: float = 0.4
     # shared_camera
     max_tried_chunks: int = 8  # chunks whose frames may give the focal length
 
