@@ -156,6 +156,15 @@ def street():
     )
 
 
+def test_walkers_are_not_fused():
+    views = street()._views(None)
+    for frame, view in zip(views.frames, views, strict=True):
+        is_walker = film().labels[frame] > 0
+        assert np.isfinite(street().inverse_depth_std(frame)[is_walker]).all()
+        assert not np.isfinite(view.inverse_depth_std[is_walker]).any()
+    assert len(street().points().positions) > 1000
+
+
 @pytest.mark.parametrize("number", [1, 2])
 def test_walkers_stand_where_they_walk(number):
     walker = next(obj for obj in street().objects if obj.id == number)

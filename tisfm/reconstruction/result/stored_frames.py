@@ -226,7 +226,7 @@ class StoredFrames(ReconstructionRecord):
 
 
 class _Views(Sequence["DepthView"]):
-    """Frames for fusion, read on demand."""
+    """Frames for fusion, without moving objects, read on demand."""
 
     def __init__(self, result: StoredFrames, frames: list[int]) -> None:
         self._result, self.frames = result, frames
@@ -239,6 +239,7 @@ class _Views(Sequence["DepthView"]):
 
         frame, result = self.frames[index], self._result
         inverse_depth, deviation = result._depth_of(frame)
+        deviation[result.labels(frame) > 0] = np.inf  # what moves is at no place of the scene
         return DepthView(
             inverse_depth=inverse_depth,
             inverse_depth_std=deviation,
