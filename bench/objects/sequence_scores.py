@@ -51,22 +51,27 @@ def score_clip(method: str, clip: Clip, result: ClipLabels) -> ClipScore:
         union=union_iou(result.labels, clip.truth),
         boundary=boundary_f(result.labels, clip.truth),
         with_depth=_share_with_depth(result),
-        depth=None if depth is None else depth.error,
-        order=None if depth is None else depth.order,
+        depth=None if depth is None else _known(depth.error),
+        order=None if depth is None else _known(depth.order),
         seconds=result.seconds / len(clip.frames),
         paths=_paths(clip, result, scores),
     )
 
 
 def _depth(clip: Clip, result: ClipLabels) -> ObjectDepthScore | None:
-    """Compare the depth of the objects with the true one, if both are known."""
-    if (
-        clip.film is None
-        or result.depth is None
-        or not any(np.any(labels) for labels in result.labels)
-    ):
+    """Compare the depth of objects on the ground with the true one, if both are known.
+
+    Boxes that fly have no contact, so no scale.
+    """
+    is_known = clip.film is not None and clip.body_poses is None and result.depth is not None
+    if not is_known or not any(np.any(labels) for labels in result.labels):
         return None
+    assert clip.film is not None and result.depth is not None
     return object_depth_score(result.depth, result.labels, clip.film.depth, clip.truth)
+
+
+def _known(value: float) -> float | None:
+    return None if np.isnan(value) else value
 
 
 def _share_with_depth(result: ClipLabels) -> float:

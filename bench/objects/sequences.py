@@ -55,7 +55,7 @@ NOTES = (
     "number of changes of that label (`tisfm.metrics.label_scores`).",
     "Union and F: of all labels and all objects together, mean over frames: region similarity, and "
     "the F measure of the boundaries, within 0.8 % of the diagonal, as DAVIS defines it.",
-    "Depth: of walkers and boxes, the median over frames of the median error of the labelled "
+    "Depth: of walkers, the median over frames of the median error of the labelled "
     "pixels, in the one scale in which the scene at rest is right. Order: share of the labelled "
     "pixels beside an occluder at rest that are behind it. With depth: share of the frames of "
     "labels in which the label has depth.",

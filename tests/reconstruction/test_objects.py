@@ -354,6 +354,27 @@ def test_shared_motion_is_near_the_object_and_not_that_of_the_surroundings():
     assert not motions.shared_motion(core, core).any()
 
 
+def test_ground_below_a_standing_foot_is_not_in_the_object():
+    """The ground moves faster towards the camera, and at the foot as the object does."""
+    height, width = 120, 160
+    flow = np.zeros((height, width, 2), np.float32)
+    flow[..., 0] = 0.06 * np.arange(height)[:, None]
+    body = np.zeros((height, width), bool)
+    body[20:90, 70:90] = True
+    rows = np.arange(20, 90)
+    # From 9 px at the head to the 5.4 px of the ground at the foot.
+    flow[20:90, 70:90, 0] = np.interp(rows, [20, 75, 90], [9.0, 7.0, 5.4])[:, None]
+    motion = ImageMotion(tisfm.Camera(focal=150.0), TRACKING_SETTINGS)
+    for _ in range(2):
+        motion._frames.append(np.zeros((height, width), np.float32))
+    motion._pairs.append(FlowPair(forward=flow, backward=-flow))
+    motions = SmoothMotions(motion, 0)
+    for _, valid in motions._flows:
+        valid[:] = True
+    shared = motions.shared_motion(body, body)
+    assert shared[20:60, 70:90].mean() > 0.5 and not (shared & ~body).any()
+
+
 def test_object_reappears_where_its_velocity_leads():
     hidden = tracked(7, range(5))
     ahead, behind = (np.array([89.5 + way, 49.5, 20.0]) for way in (40, -40))

@@ -118,7 +118,12 @@ class SmoothMotions:
             residual = vector_lengths(flow - smooth_motion(flow, inside))
             deviation = max(deviation, 1.48 * float(np.median(residual[inside])))
             own += np.where(valid, residual, 0)
-            other += np.where(valid, vector_lengths(flow - extend_flow(flow, outside)), 0)
+            # A foot on the ground moves as the ground does, which comes nearer towards the camera.
+            from_surroundings = np.minimum(
+                vector_lengths(flow - extend_flow(flow, outside)),
+                vector_lengths(flow - smooth_motion(flow, outside)),
+            )
+            other += np.where(valid, from_surroundings, 0)
             count += valid
         own, other = own / np.maximum(count, 1), other / np.maximum(count, 1)
         is_shared = (own < OBJECTS.max_shared_deviations * deviation) & (

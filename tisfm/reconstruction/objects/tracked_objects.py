@@ -108,7 +108,7 @@ def final_labels(
     for later in sorted(objects):  # objects that reappear
         if root[later] == later and (earlier := _earlier_object(objects, later, root)):
             root[root == later] = root[earlier]
-    table, number, limit = np.zeros(count, np.uint8), 0, OBJECTS.min_clear_evidence
+    table, number, limit = np.zeros(count, np.uint8), 0, OBJECTS.min_kept_evidence
     for obj in sorted(objects):
         if root[obj] != obj:
             continue
