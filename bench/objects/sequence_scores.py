@@ -13,6 +13,8 @@ from bench.objects.sequence_methods import ClipLabels
 from bench.shared.results import EMPTY_CELL, Table
 from tisfm.metrics import LabelScores, ObjectPathErrors, label_scores, object_path_errors
 
+MIN_DEPTH_SHARE = 0.5  # share of the pixels of a label that have depth
+
 
 @dataclass(frozen=True, kw_only=True)
 class ClipScore:
@@ -26,7 +28,8 @@ class ClipScore:
     switches: int = 0
     union: float = 0.0  # region similarity of all labels and all objects
     boundary: float = 0.0  # boundary F of all labels and all objects
-    with_depth: float = 0.0  # share of the frames of labels in which the label has depth
+    # Share of the frames of labels in which half of the label has depth; None without depth.
+    with_depth: float | None = None
     # of rendered clips with labels: as for `ObjectDepthScore`
     depth: float | None = None
     order: float | None = None
@@ -74,16 +77,16 @@ def _known(value: float) -> float | None:
     return None if np.isnan(value) else value
 
 
-def _share_with_depth(result: ClipLabels) -> float:
-    """Return the share of the frames of labels in which the label has depth."""
+def _share_with_depth(result: ClipLabels) -> float | None:
+    """Return the share of the frames of labels in which half of the label has depth, or None."""
     if result.deviation is None:
-        return 0.0
+        return None
     has_depth = [
-        bool(np.isfinite(deviation[labels == number]).any())
+        bool(np.isfinite(deviation[labels == number]).mean() >= MIN_DEPTH_SHARE)
         for labels, deviation in zip(result.labels, result.deviation, strict=True)
         for number in np.unique(labels[labels > 0])
     ]
-    return fmean(has_depth) if has_depth else 0.0
+    return fmean(has_depth) if has_depth else None
 
 
 def _paths(
@@ -146,7 +149,7 @@ def table(scores: Sequence[ClipScore]) -> Table:
                 f"{fmean(s.boundary for s in successful):.3f}",
                 f"{100 * fmean(s.followed for s in successful):.0f}",
                 str(sum(s.switches for s in successful)),
-                _percent_mean([s.with_depth for s in successful if s.with_depth]),
+                _percent_mean([s.with_depth for s in successful if s.with_depth is not None]),
                 f"{fmean(s.seconds for s in successful):#.3g}",
             ]
         else:

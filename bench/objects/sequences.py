@@ -58,7 +58,7 @@ NOTES = (
     "Depth: of walkers, the median over frames of the median error of the labelled "
     "pixels, in the one scale in which the scene at rest is right. Order: share of the labelled "
     "pixels beside an occluder at rest that are behind it. With depth: share of the frames of "
-    "labels in which the label has depth.",
+    "labels in which half of the label has depth.",
     "Every peer is shown in its variant with the best mean IoU over the clips of a table; all "
     "variants are listed below. tisfm has one variant for all clips.",
     "Difference: of each frame from both or either of its neighbours at a distance of some frames, "

@@ -11,9 +11,9 @@ import tisfm
 from tests.exports.made import made
 from tisfm.cli.batch import _median_grade
 from tisfm.formats import FormatError
-from tisfm.grade import GRADES, Grade, summarise_grades
+from tisfm.grade import GRADES, Grade, depth_error, summarise_grades
 from tisfm.reconstruction.result.calibration import GIVEN, Calibration
-from tisfm.reconstruction.result.folder import RECORD, write_depth, write_mask
+from tisfm.reconstruction.result.folder import RECORD, read_depth, write_depth, write_mask
 from tisfm.reconstruction.result.statuses import add_piece_note, mark_uncertain
 from tisfm.reconstruction.stages.writing import _find_depth_errors
 from tisfm.report.reconstruction_report import _report
@@ -67,6 +67,19 @@ def test_expected_errors_grow_with_the_residual_of_the_path(tmp_path, ratio):
     )
     np.testing.assert_allclose(errors, depth.error * ratio, rtol=1e-3)
     np.testing.assert_array_equal(shares, depth.share)
+
+
+def test_large_deviations_stay_finite_in_files(tmp_path):
+    """An infinite deviation means filled depth, which does not count."""
+    inverse_depth = np.full((20, 30), 0.5, np.float32)
+    deviation = np.full((20, 30), 0.6, np.float32)
+    deviation[:8], deviation[19] = 0.001, np.inf
+    (tmp_path / "depth").mkdir(exist_ok=True)
+    write_depth(tmp_path, 0, inverse_depth, deviation)
+    stored = read_depth(tmp_path, 0, (20, 30))
+    np.testing.assert_array_equal(np.isfinite(stored[1]), np.isfinite(deviation))
+    assert depth_error(*stored)[1] == depth_error(inverse_depth, deviation)[1]
+    assert depth_error(*stored)[0] > GRADES.max_fair
 
 
 def test_saved_copy_keeps_the_mask_of_fixed_pixels(tmp_path):

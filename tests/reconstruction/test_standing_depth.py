@@ -9,10 +9,10 @@ import pytest
 import tisfm
 from tests.rendered import walkers_film
 from tisfm.reconstruction.objects.standing_depth import (
-    Sight,
+    FrameMeasures,
     find_standing_depth,
     find_standing_depths,
-    look_at_objects,
+    measure_objects,
 )
 from tisfm.reconstruction.result.moving_object import labelled_objects
 from tisfm.scenes import bodies_path
@@ -20,17 +20,17 @@ from tisfm.scenes import bodies_path
 FOCAL, SIZE = 100.0, (90, 120)
 GROUND = 1.5  # m below the camera
 COUNT = 12
-SIGHT = Sight(
+MEASURES = FrameMeasures(
     frame=0, contact=0.25, slope=0.5, around=0.2, height=40.0, length=40.0, thickness=0.02
 )
 
 
-def sights_of(depth, **changes):
-    """Return sights of an object of 1.6 m on the ground, at a depth in each frame."""
+def measures_of(depth, **changes):
+    """Return measures of an object of 1.6 m on the ground, at a depth in each frame."""
     of_frame = {name: np.broadcast_to(values, len(depth)) for name, values in changes.items()}
     return [
         replace(
-            SIGHT,
+            MEASURES,
             **{"frame": k, "contact": 1 / z, "height": 1.6 * FOCAL / z, "length": 1.6 * FOCAL / z}
             | {name: values[k] for name, values in of_frame.items()},
         )
@@ -59,13 +59,13 @@ def labels_at(depth, legs=True):
 def standing(labels, static_depth=ground, **options):
     """Return the depth of the object in some labels."""
     (obj,) = labelled_objects(len(labels), lambda k: labels[k])
-    sights = look_at_objects([obj], FOCAL, static_depth, lambda k: labels[k])
-    return find_standing_depth(sights[1], FOCAL, **options)
+    measures = measure_objects([obj], FOCAL, static_depth, lambda k: labels[k])
+    return find_standing_depth(measures[1], FOCAL, **options)
 
 
 def test_an_object_is_as_far_away_as_the_ground_at_its_feet():
     depth = np.linspace(4, 5, COUNT)
-    found = standing([labels_at(z) for z in depth], has_exact_labels=True)
+    found = standing([labels_at(z) for z in depth], given_labels=range(COUNT))
     assert found.scale_from == "contact" and found.frames == tuple(range(COUNT))
     # The ground is seen 3 px below the feet.
     np.testing.assert_allclose(1 / found.inverse_depth, depth, rtol=0.12)
@@ -83,9 +83,10 @@ def test_feet_without_a_label_hardly_matter_for_a_while():
 
 def test_a_found_label_has_a_less_certain_end():
     labels = [labels_at(4.0)] * COUNT
-    found, given = (standing(labels, has_exact_labels=exact) for exact in (False, True))
+    found, given = (standing(labels, given_labels=frames) for frames in ((), range(1, COUNT)))
     np.testing.assert_array_equal(found.inverse_depth, given.inverse_depth)
-    assert (found.deviation > given.deviation).all()
+    assert (found.deviation[1:] > given.deviation[1:]).all()
+    assert found.deviation[0] == given.deviation[0]  # its label was propagated
 
 
 def test_a_wall_below_an_object_is_no_ground():
@@ -118,25 +119,58 @@ def test_a_known_size_gives_the_distance():
 
 def test_depth_is_smooth_in_time():
     random = np.random.default_rng(0)
-    depth = 4 * np.exp(random.normal(0, 0.1, 30))
-    found = find_standing_depth(sights_of(depth), FOCAL)
-    assert np.abs(np.diff(np.log(found.inverse_depth))).max() < 0.05
-    assert np.median(1 / found.inverse_depth) == pytest.approx(4, rel=0.1)
+    noisy = 4 * np.exp(random.normal(0, 0.1, 30))
+    found = find_standing_depth(measures_of(np.full(30, 4.0), contact=1 / noisy), FOCAL)
+    assert np.abs(np.diff(np.log(found.inverse_depth))).max() < 0.02
+    np.testing.assert_allclose(1 / found.inverse_depth, 4, rtol=0.1)
+
+
+@pytest.mark.parametrize(("first", "last"), [(20.0, 5.0), (5.0, 20.0), (25.0, 8.0)])
+def test_steady_approach_is_no_outlier(first, last):
+    depth = np.linspace(first, last, 16)
+    found = find_standing_depth(measures_of(depth), FOCAL)
+    np.testing.assert_allclose(1 / found.inverse_depth, depth, rtol=0.12)
+
+
+def test_feet_behind_another_label_are_hidden():
+    labels = [labels_at(4.0) for _ in range(COUNT)]
+    for number, frame_labels in enumerate(labels):
+        if number >= 4:
+            foot = np.flatnonzero((frame_labels == 1).any(axis=1))[-1]
+            frame_labels[foot - 18 :, 40:72] = 2  # an ignored pixel does the same
+    (obj, _) = labelled_objects(COUNT, lambda k: labels[k])
+    measures = measure_objects([obj], FOCAL, ground, lambda k: labels[k])[1]
+    hidden = [np.isnan(item.contact) and np.isnan(item.height) for item in measures]
+    assert hidden == [number >= 4 for number in range(COUNT)]
+    found = find_standing_depth(measures, FOCAL)
+    np.testing.assert_allclose(1 / found.inverse_depth, 4.0, rtol=0.05)
+
+
+def test_a_cut_object_has_no_length():
+    labels = [labels_at(4.0) for _ in range(COUNT)]
+    for frame_labels in labels:
+        frame_labels[:, :52] = 0  # move the cut part to the left border of the frame
+        frame_labels[:] = np.roll(frame_labels, -52, axis=1)
+    found = standing(labels, size=1.6)
+    assert found.scale_from == "contact"
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_few_frames_have_depth(count):
-    found = find_standing_depth(sights_of(np.full(count, 4.0)), FOCAL)
+    found = find_standing_depth(measures_of(np.full(count, 4.0)), FOCAL)
     np.testing.assert_allclose(found.inverse_depth, 0.25, rtol=1e-6)
     assert np.isfinite(found.deviation).all()
 
 
 def test_pieces_have_units_of_their_own():
-    sights = sights_of([4.0, 4.0, 8.0, 8.0, 3.0])
+    measures = {1: measures_of([4.0, 4.0, 8.0, 8.0, 3.0])}
     piece = np.array([0, 0, 1, 1, -1])
-    depths = find_standing_depths({1: sights}, piece, FOCAL, sizes={}, has_exact_labels=False)
-    assert [depth.frames for depth in depths[1]] == [(0, 1), (2, 3)]
-    np.testing.assert_allclose(depths[1][1].inverse_depth, 1 / 8, rtol=1e-6)
+    depths = find_standing_depths(measures, piece, FOCAL, sizes={}, largest_piece=0)[1]
+    assert [depth.frames for depth in depths] == [(0, 1), (2, 3)]
+    np.testing.assert_allclose(depths[1].inverse_depth, 1 / 8, rtol=1e-6)
+    sized = find_standing_depths(measures, piece, FOCAL, sizes={1: 3.2}, largest_piece=0)[1]
+    assert [depth.scale_from for depth in sized] == ["size", "contact"]
+    np.testing.assert_allclose(sized[1].inverse_depth, 1 / 8, rtol=1e-6)
 
 
 @cache

@@ -193,8 +193,8 @@ def reconstruct(options: Reconstruct) -> int:
     check_workers(options.workers, options.cluster)
     if in_chunks and (options.labels is not None or object_sizes):
         raise InputError(
-            "--labels and --object-sizes have ids, which chunks do not share: leave out --workers, "
-            "--cluster and --chunk"
+            "--labels and --object-sizes do not work in chunks: leave out --workers, --cluster and "
+            "--chunk"
         )
     poses = None if options.poses is None else read_trajectory(options.poses)
     for file in (options.poses, camera):

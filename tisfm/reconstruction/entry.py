@@ -132,9 +132,9 @@ def reconstruct(
         move on their own are searched, the stages ``"path"`` and ``"depth"`` come once more.
     report_depth : callable, optional
         Called as ``report_depth(frame, error)`` after the depth of each frame, with the number of
-        the frame in the result and the expected relative error of its depth, as in
-        `Reconstruction.depth_error`. If pixels that move on their own are masked, frames get their
-        depth anew, and are reported once more.
+        the frame in the result and the expected relative error of its depth, before the checks of
+        the path, which may enlarge it in `Reconstruction.depth_error`. If pixels that move on their
+        own are masked, frames get their depth anew, and are reported once more.
 
     Returns
     -------

@@ -22,6 +22,7 @@ from tisfm.scenes import bodies_path
 SIZE = 40, 60
 COUNT = 10  # frames; the chunks have 0 to 5 and 4 to 9
 SPANS = (range(6), range(4, 10))
+EXTENT = np.array([4.0, 1.5, 2.0])  # of the first object, along its own axes
 
 
 def labels_of(frame, ids):
@@ -50,7 +51,8 @@ def part_of(span, ids, *, scale=1.0, turn=(0, 0, 0), with_poses=True):
     if with_poses:
         poses = np.array([object_pose(frame) @ axes for frame in span])
         poses[:, :3, 3] /= scale
-        known = {"poses": poses, "extent": np.ones(3) / scale, "scale_from": "contact"}
+        extent = np.abs(axes[:3, :3].T @ EXTENT) / scale
+        known = {"poses": poses, "extent": extent, "scale_from": "contact"}
         objects = [replace(obj, **known) if obj.id == ids[0] else obj for obj in objects]
     cameras = np.array([camera_pose(frame) for frame in span])
     cameras[:, :3, 3] /= scale
@@ -121,7 +123,7 @@ def test_labels_and_poses_are_joined(tmp_path):
     np.testing.assert_allclose(
         objects[0].poses, [object_pose(frame) for frame in range(COUNT)], atol=1e-9
     )
-    np.testing.assert_allclose(objects[0].extent, np.ones(3))
+    np.testing.assert_allclose(objects[0].extent, EXTENT)
     assert not np.isfinite(objects[1].poses).any() and objects[1].scale_from == "none"
 
 
@@ -132,6 +134,30 @@ def test_axes_without_a_shared_frame_are_unknown(tmp_path):
     (known, _) = write_joined_objects(tmp_path, parts, placements((1.0, 1.0)))
     assert np.isfinite(known.poses[:4]).all() and not np.isfinite(known.poses[4:]).any()
     assert known.message == NO_AXES
+
+
+def test_axes_and_extent_are_those_of_the_chunk_with_most_poses(tmp_path):
+    turn = (0, np.pi / 2, 0)
+    parts = [part_of(SPANS[0], (1, 2)), part_of(SPANS[1], (1, 2), turn=turn)]
+    parts[0].result.objects[0].poses[:4] = np.nan
+    (known, _) = write_joined_objects(tmp_path, parts, placements((1.0, 1.0)))
+    turned = np.eye(4)
+    turned[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
+    expected = [object_pose(frame) @ turned for frame in range(4, COUNT)]
+    np.testing.assert_allclose(known.poses[4:], expected, atol=1e-9)
+    assert not np.isfinite(known.poses[:4]).any() and known.message == ""
+    np.testing.assert_allclose(known.extent, EXTENT[[2, 1, 0]], atol=1e-9)
+
+
+def test_poses_are_in_the_largest_piece(tmp_path):
+    """The chunks lie in two pieces, whose units have an unknown ratio."""
+    parts = [part_of(SPANS[0], (1, 2)), part_of(SPANS[1], (1, 2), scale=3.0)]
+    placed = [
+        replace(placement, piece=placement.part) for placement in placements((1.0, 1.0), split=6)
+    ]
+    (known, _) = write_joined_objects(tmp_path, parts, placed)
+    np.testing.assert_allclose(known.poses[:6], [object_pose(frame) for frame in range(6)])
+    assert not np.isfinite(known.poses[6:]).any()
 
 
 @pytest.mark.nightly

@@ -1,7 +1,7 @@
 """Moving objects of a sequence, from the moving objects of its chunks.
 
 An object of a chunk and one of the next chunk are the same if their labels cover the same pixels in
-the frames that both chunks contain. Its axes in the first chunk are its axes in the joined result.
+the frames that both chunks contain. Its axes in the joined result are those of one of its chunks.
 """
 
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ class _ObjectPoses:
     entry: MovingObject  # of the chunk
     # by the number of the frame in the source: (4, 4), from the axes of the object to the camera
     to_camera: dict[int, np.ndarray]
-    scale: float  # length of the unit of the chunk, in the unit of the joined result
+    scale: float  # length of the unit of the chunk, in the unit of the joined result; NaN: unknown
 
 
 def write_joined_objects(
@@ -97,71 +97,90 @@ def _with_poses(
     placements: Sequence[ChunkPlacement],
     ids: Ids,
 ) -> MovingObject:
-    """Return an object with its poses, its extent and its message.
+    """Return an object with its poses in the largest piece, its extent and its message.
 
-    Extent, source of the scale and message are those of the chunk with most of its poses, or else
-    of its frames.
+    Axes, extent, source of the scale and message are those of the chunk with most of its poses, or
+    else of its frames.
     """
+    pieces = np.array([placement.piece for placement in placements])
+    largest = int(np.bincount(pieces[pieces >= 0]).argmax()) if (pieces >= 0).any() else 0
     chunks = {
-        number: _object_poses(entry, number, part, placements)
+        number: _object_poses(entry, number, part, placements, largest)
         for number, part in enumerate(parts)
         for entry in part.result.objects
         if ids[number].get(entry.id) == obj.id
     }
-    axes = _common_axes(chunks)
+    main = max(chunks, key=lambda k: (len(chunks[k].to_camera), len(chunks[k].entry.frames)))
+    axes = _common_axes(chunks, main)
     poses = obj.poses.copy()
     for k, frame in enumerate(obj.frames):
         placement = placements[frame]
         known = chunks[placement.part].to_camera.get(parts[placement.part].source(placement.number))
-        if known is not None and placement.part in axes:
+        if known is not None and placement.piece == largest and placement.part in axes:
             poses[k] = placement.pose @ known @ axes[placement.part]
-    main = max(chunks.values(), key=lambda item: (len(item.to_camera), len(item.entry.frames)))
-    message = main.entry.message
+    entry = chunks[main].entry
+    message = entry.message
     if any(item.to_camera and number not in axes for number, item in chunks.items()):
         message = f"{message}; {NO_AXES}" if message else NO_AXES
     return replace(
         obj,
         poses=poses,
-        extent=main.entry.extent * main.scale,
-        scale_from=main.entry.scale_from,
+        extent=entry.extent * chunks[main].scale,
+        scale_from=entry.scale_from,
         message=message,
     )
 
 
 def _object_poses(
-    entry: MovingObject, chunk: int, part: ChunkResult, placements: Sequence[ChunkPlacement]
+    entry: MovingObject,
+    chunk: int,
+    part: ChunkResult,
+    placements: Sequence[ChunkPlacement],
+    largest: int,  # the largest piece of the joined result
 ) -> _ObjectPoses:
-    """Return the poses of an object of a chunk, relative to the camera, in the joined unit."""
-    # Objects have poses in the largest piece of a chunk.
-    scales = {
-        int(part.result.piece[placement.number]): placement.scale
-        for placement in placements
-        if placement.part == chunk
-    }
-    scale = scales.get(part.result.largest_piece, 1.0)
+    """Return the poses of an object of a chunk, relative to the camera, in the joined unit.
+
+    Objects have poses in the largest piece of a chunk. If it is no part of the largest piece of the
+    joined result, its unit there is unknown, and the object has no poses.
+    """
+    scale = next(
+        (
+            placement.scale
+            for placement in placements
+            if placement.part == chunk
+            and placement.piece == largest
+            and part.result.piece[placement.number] == part.result.largest_piece
+        ),
+        None,
+    )
     to_camera = {}
     for frame, pose in zip(entry.frames, entry.poses, strict=True):
-        if np.isfinite(pose).all():
+        if scale is not None and np.isfinite(pose).all():
             relative = np.linalg.solve(part.result.poses[frame], pose)
             relative[:3, 3] *= scale
             to_camera[part.source(frame)] = relative
-    return _ObjectPoses(entry=entry, to_camera=to_camera, scale=scale)
+    return _ObjectPoses(
+        entry=entry, to_camera=to_camera, scale=float("nan") if scale is None else scale
+    )
 
 
-def _common_axes(chunks: dict[int, _ObjectPoses]) -> dict[int, np.ndarray]:
+def _common_axes(chunks: dict[int, _ObjectPoses], main: int) -> dict[int, np.ndarray]:
     """Return, by chunk, the pose of the common axes of an object in its axes there, (4, 4).
 
-    The first chunk with poses defines them. A later chunk is known if it shares a frame with poses
-    with the chunk before.
+    The main chunk defines them. Its neighbours before and after are known as long as each shares a
+    frame with poses with the last one.
     """
-    axes: dict[int, np.ndarray] = {}
-    with_poses = [number for number, item in chunks.items() if item.to_camera]
-    if with_poses:
-        axes[with_poses[0]] = np.eye(4)
-    for before, after in pairwise(with_poses):
-        first, second = chunks[before].to_camera, chunks[after].to_camera
-        shared = sorted(first.keys() & second.keys())
-        if before in axes and shared:
+    axes = {main: np.eye(4)}
+    numbers = sorted(number for number in chunks if chunks[number].to_camera)
+    for direction in (1, -1):
+        known = main
+        others = [number for number in numbers if (number - main) * direction > 0]
+        for number in sorted(others, reverse=direction < 0):
+            first, second = chunks[known].to_camera, chunks[number].to_camera
+            shared = sorted(first.keys() & second.keys())
+            if not shared:
+                break
             steps = np.array([np.linalg.solve(second[k], first[k]) for k in shared])
-            axes[after] = mean_pose(steps, np.ones(len(steps))) @ axes[before]
+            axes[number] = mean_pose(steps, np.ones(len(steps))) @ axes[known]
+            known = number
     return axes

@@ -6,7 +6,7 @@ the ground, or, roughly, from the depth around the object. An object without a p
 the place where it stands.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,12 +21,17 @@ from tisfm.reconstruction.objects.settings import OBJECTS
 from tisfm.reconstruction.objects.standing_depth import (
     StandingDepth,
     find_standing_depths,
-    look_at_objects,
+    measure_objects,
 )
 from tisfm.reconstruction.result.folder import depth_path, read_depth, write_depth
 from tisfm.reconstruction.result.moving_object import MovingObject, ScaleFrom, labelled_objects
 from tisfm.settings import Settings
 
+STANDING_MESSAGES = {
+    "contact": "its depth is that of the place where it stands",
+    "around": "its depth is roughly that of its surroundings",
+    "size": "its depth follows from its size",
+}
 NO_PATH = "the camera has no pose in its frames, or none in the largest piece of the path"
 
 
@@ -59,7 +64,7 @@ def find_object_scale(
         ring = (cv2.dilate(np.uint8(object_pixels), window) > 0) & (labels == 0) & (background > 0)
         if ring.any():
             # The object occludes its surroundings. So it is at least as near as their nearest part.
-            nearest = np.quantile(background[ring], 0.9)
+            nearest = np.quantile(background[ring], OBJECTS.nearest_quantile)
             ring_scales.append(float(np.median(depth.inverse_depth[valid]) / nearest))
     if len(contact_scales) >= max(2, len(path.depths) / 4):
         return float(np.median(contact_scales)), "contact"
@@ -99,7 +104,7 @@ def objects_with_depth(
     with_depth: bool = True,  # whether depth is computed in addition to paths
     # known lengths of objects by their ids, in the unit of the poses
     sizes: Mapping[int, float] | None = None,
-    has_exact_labels: bool = False,  # whether the user gave the labels
+    given_labels: Collection[int] = (),  # frames whose labels the user gave
 ) -> tuple[MovingObject, ...]:
     """Return the moving objects. Their depth is written into the depth files of the frames.
 
@@ -110,9 +115,8 @@ def objects_with_depth(
     def static_depth(frame: int) -> np.ndarray:
         return read_depth(folder, frame, frames.shape)[0]
 
-    valid_pieces = piece[piece >= 0]
-    largest = int(np.bincount(valid_pieces).argmax()) if len(valid_pieces) else 0
-    world_poses = np.where((piece == largest)[:, None, None], poses, np.nan)
+    is_largest = piece == _find_largest_piece(piece)
+    world_poses = np.where(is_largest[:, None, None], poses, np.nan)
     moving_objects = []
     without_depth: dict[int, set[int]] = {}  # frames of each object, by its id
     for obj in labelled_objects(len(poses), frames.labels):
@@ -140,11 +144,12 @@ def objects_with_depth(
             inverse_depth[object_pixels] = depth.inverse_depth[object_pixels] / scale
             deviation[object_pixels] = depth.deviation[object_pixels] / scale
             write_depth(folder, frame, inverse_depth, deviation)
-            without_depth[obj.id].discard(frame)
+            if object_pixels.any() and scale_from != "none":
+                without_depth[obj.id].discard(frame)
     if not with_depth:
         return tuple(moving_objects)
     standing_depths = _find_standing_depths(
-        frames, folder, piece, moving_objects, without_depth, sizes or {}, has_exact_labels
+        frames, folder, piece, moving_objects, without_depth, sizes or {}, given_labels
     )
     _write_standing_depths(frames, folder, standing_depths, without_depth)
     return tuple(
@@ -159,7 +164,7 @@ def _find_standing_depths(
     objects: Sequence[MovingObject],
     without_depth: Mapping[int, set[int]],  # frames of each object, by its id
     sizes: Mapping[int, float],
-    has_exact_labels: bool,
+    given_labels: Collection[int],
 ) -> dict[int, list[StandingDepth]]:
     """Return the depth from the places where they stand of objects that lack depth, by id."""
 
@@ -169,10 +174,20 @@ def _find_standing_depths(
 
     lacking = [obj for obj in objects if without_depth[obj.id]]
     focal = frames.camera.focal
-    sights = look_at_objects(lacking, focal, static_depth, frames.labels)
     return find_standing_depths(
-        sights, piece, focal, sizes=sizes, has_exact_labels=has_exact_labels
+        measure_objects(lacking, focal, static_depth, frames.labels),
+        piece,
+        focal,
+        sizes=sizes,
+        largest_piece=_find_largest_piece(piece),
+        given_labels=given_labels,
     )
+
+
+def _find_largest_piece(piece: np.ndarray) -> int:
+    """Return the piece, (N,) int, that has most frames; 0 without a piece."""
+    known = piece[piece >= 0]
+    return int(np.bincount(known).argmax()) if len(known) else 0
 
 
 def _write_standing_depths(
@@ -200,12 +215,12 @@ def _write_standing_depths(
 
 
 def _with_standing_depth(obj: MovingObject, depths: Sequence[StandingDepth]) -> MovingObject:
-    """Return an object whose scale and message name its depth from the place where it stands."""
-    if not depths or obj.scale_from != "none":
+    """Return an object without poses with the source of its depth; others stay as they are."""
+    if not depths or np.isfinite(obj.poses).any():
         return obj
     longest = max(depths, key=lambda depth: len(depth.frames))
-    message = f"{obj.message}; its depth is that of the place where it stands"
-    return replace(obj, scale_from=longest.scale_from, message=message)
+    parts = [obj.message, STANDING_MESSAGES[longest.scale_from]]
+    return replace(obj, scale_from=longest.scale_from, message="; ".join(filter(None, parts)))
 
 
 def with_world_path(

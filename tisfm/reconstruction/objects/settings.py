@@ -177,6 +177,7 @@ class ObjectSettings:
     trimmed_share: float = 0.03
     # px: width of the ring around an object whose static depth may give the distance of the object
     ring_width: int = 15
+    nearest_quantile: float = 0.9  # quantile of inverse depth that counts as the nearest
     box_trials: int = 2000  # random orientations that are tried for the smallest box
     max_box_points: int = 1000  # points that a box is fitted to
 
@@ -205,8 +206,14 @@ class StandingSettings:
     min_ground_share: float = 0.4  # share of the pixels that are near the plane
     min_slope: float = 0.05  # relative change of the ground's inverse depth over the height
     cut_distance: int = 2  # px from the border of the frame: a label that is nearer may be cut
-    ring_width: int = 15  # px: width of the ring of surroundings
-    nearest_quantile: float = 0.9  # quantile of inverse depth that counts as the nearest
+    # Feet are hidden if less than `min_seen_share` of the pixels below them are in the plane of the
+    # ground: `hidden_rows` from `hidden_distance` px below the lowest pixel of the object, in the
+    # columns in which it has pixels in the lowest `foot_share` of its height.
+    hidden_distance: int = 2
+    hidden_rows: int = 3
+    foot_share: float = 0.15
+    hidden_tolerance: float = 0.1  # relative distance from the plane
+    min_seen_share: float = 0.5
     min_contacts: int = 2  # frames with a contact
     # standard deviations of logarithms of inverse depth: of one contact; of the nearest
     # surroundings; of the known size of an object; of its height in the frame
@@ -215,7 +222,7 @@ class StandingSettings:
     size_std: float = 0.1
     height_std: float = 0.07
     # and of changes: from frame to frame, and of this change
-    change_std: float = 0.03
+    change_std: float = 0.3
     bend_std: float = 0.01
     # deviation of the lower end of a label that was found, and of one that the user gave, over the
     # height of the object
@@ -224,8 +231,9 @@ class StandingSettings:
     # weight of a contact that is farther away than the object, and of a height that is too small
     short_weight: float = 0.25
     thickness: float = 0.25  # deviation of depth within an object, over its narrower side
-    iterations: int = 12
-    min_precision: float = 1e-9  # of an unknown
+    iterations: int = 12  # of the robust fit
+    min_precision: float = 1e-9  # prior of a logarithm, for unknowns without data: 1/variance
+    max_variances: int = 200  # frames whose deviation is computed; that of others is between them
 
 
 OBJECTS = ObjectSettings()

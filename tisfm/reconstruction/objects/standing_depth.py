@@ -6,7 +6,7 @@ object in one frame, and its depth times its height in the image is constant. Bo
 together over all frames, smoothly in time.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -14,11 +14,9 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from tisfm.reconstruction.objects.settings import STANDING
+from tisfm.grade import GRADES
+from tisfm.reconstruction.objects.settings import OBJECTS, STANDING
 from tisfm.reconstruction.result.moving_object import MovingObject, ScaleFrom
-
-MEDIAN_RATIO = 0.6745
-"""Median error over standard deviation of a normal distribution."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,65 +30,68 @@ class StandingDepth:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sight:
+class FrameMeasures:
     """An object in one frame; a number is NaN where the frame does not show it."""
 
     frame: int
     contact: float  # inverse depth of the ground at the feet
     slope: float  # relative change of the inverse depth of the ground over the object's height
     around: float  # inverse depth of the nearest surroundings
-    height: float  # px
-    length: float  # px: longer side of the box
+    height: float  # px; NaN where its upper or lower end is not seen
+    length: float  # px: longer side of the box; NaN where the border of the frame cuts it
     thickness: float  # deviation of depth within the object, as a share of its distance
 
 
-def look_at_objects(
+def measure_objects(
     objects: Iterable[MovingObject],
     focal: float,  # px
     # Returns the static inverse depth of a frame and its deviation, (H, W) each; None for a frame
     # without depth.
     static_depth: Callable[[int], tuple[np.ndarray, np.ndarray] | None],
     labels_of: Callable[[int], np.ndarray],  # returns the labels of a frame, (H, W)
-) -> dict[int, list[Sight]]:
-    """Return the sights of each object, by its id, in the order of the frames."""
+) -> dict[int, list[FrameMeasures]]:
+    """Return the measures of each object, by its id, in the order of the frames."""
     boxes: dict[int, dict[int, np.ndarray]] = {}
     for obj in objects:
         for frame, box in zip(obj.frames, obj.boxes, strict=True):
             boxes.setdefault(frame, {})[obj.id] = box
-    sights: dict[int, list[Sight]] = {}
+    measures: dict[int, list[FrameMeasures]] = {}
     for frame in sorted(boxes):
         labels, static = labels_of(frame), static_depth(frame)
         for object_id, box in boxes[frame].items():
-            sight = _look(frame, labels, object_id, box, focal, static)
-            sights.setdefault(object_id, []).append(sight)
-    return sights
+            measure = _measure(frame, labels, object_id, box, focal, static)
+            measures.setdefault(object_id, []).append(measure)
+    return measures
 
 
 def find_standing_depth(
-    sights: Sequence[Sight],  # in the order of the frames
+    measures: Sequence[FrameMeasures],  # in the order of the frames
     focal: float,  # px
     *,
     # known length of the object along the longer side of its box, in the unit of the world
     size: float | None = None,
-    has_exact_labels: bool = False,  # whether the user gave the labels
+    given_labels: Collection[int] = (),  # frames whose labels the user gave
 ) -> StandingDepth | None:
     """Return the depth of an object in its frames; None if nothing shows how far away it is."""
     contact, slope, around, height, length, thickness = (
-        np.array([getattr(sight, name) for sight in sights])
+        np.array([getattr(measure, name) for measure in measures])
         for name in ("contact", "slope", "around", "height", "length", "thickness")
     )
-    frames = tuple(sight.frame for sight in sights)
+    frames = tuple(measure.frame for measure in measures)
     scale_from: ScaleFrom
-    label_std = 0.0
-    if size is not None:
+    label_std = np.zeros(len(measures))
+    if size is not None and np.isfinite(length).any():
         scale_from, inverse_depth, std = "size", length / (focal * size), STANDING.size_std
-    elif np.isfinite(contact).sum() >= min(STANDING.min_contacts, len(sights)):
+    elif np.isfinite(contact).sum() >= min(STANDING.min_contacts, len(measures)):
         scale_from, inverse_depth, std = "contact", contact, STANDING.contact_std
-        end_std = STANDING.exact_end_std if has_exact_labels else STANDING.end_std
-        label_std = end_std * float(np.nanmedian(slope))
+        end_std = [
+            STANDING.exact_end_std if frame in given_labels else STANDING.end_std
+            for frame in frames
+        ]
+        label_std = np.array(end_std) * float(np.nanmedian(slope))
     elif np.isfinite(around).any():
         scale_from, inverse_depth, std = "around", around, STANDING.around_std
-        label_std = STANDING.around_std
+        label_std += STANDING.around_std
     else:
         return None
     logs, deviation, residual = _fit(np.array(frames), np.log(inverse_depth), height, std)
@@ -104,60 +105,65 @@ def find_standing_depth(
 
 
 def find_standing_depths(
-    sights: Mapping[int, Sequence[Sight]],  # by object id
+    measures: Mapping[int, Sequence[FrameMeasures]],  # by object id
     piece: np.ndarray,  # (N,) int: piece of the camera path that has each frame; −1 for none
     focal: float,  # px
     *,
-    sizes: Mapping[int, float],  # known lengths of objects by their ids
-    has_exact_labels: bool,
+    # known lengths of objects by their ids, in the unit of the largest piece
+    sizes: Mapping[int, float],
+    largest_piece: int,
+    given_labels: Collection[int] = (),  # frames whose labels the user gave
 ) -> dict[int, list[StandingDepth]]:
     """Return the depth of each object, by its id, for each piece, which has a unit of its own."""
     depths: dict[int, list[StandingDepth]] = {}
-    for object_id, of_object in sights.items():
-        for number in sorted({int(piece[sight.frame]) for sight in of_object} - {-1}):
+    for object_id, of_object in measures.items():
+        for number in sorted({int(piece[measure.frame]) for measure in of_object} - {-1}):
             depth = find_standing_depth(
-                [sight for sight in of_object if piece[sight.frame] == number],
+                [item for item in of_object if piece[item.frame] == number],
                 focal,
-                size=sizes.get(object_id),
-                has_exact_labels=has_exact_labels,
+                size=sizes.get(object_id) if number == largest_piece else None,
+                given_labels=given_labels,
             )
             if depth is not None:
                 depths.setdefault(object_id, []).append(depth)
     return depths
 
 
-def _look(
+def _measure(
     frame: int,
     labels: np.ndarray,  # (H, W)
     object_id: int,
     box: np.ndarray,  # (4,): left, top, width and height of the label, px
     focal: float,  # px
     static: tuple[np.ndarray, np.ndarray] | None,  # inverse depth and deviation, (H, W) each
-) -> Sight:
+) -> FrameMeasures:
     """Measure an object in a frame."""
     left, top, width, height = (int(side) for side in box)
+    frame_height, frame_width = labels.shape
     margin = STANDING.cut_distance
-    has_feet = top + height < len(labels) - margin
-    is_cut = top <= margin or not has_feet
+    ends_above = top > margin
+    has_feet = top + height < frame_height - margin
+    is_whole = ends_above and has_feet and left > margin and left + width < frame_width - margin
     contact = slope = around = float("nan")
     if static is not None:
         # the part of the frame with the object, its surroundings, and the ground below it
-        reach = max(STANDING.ring_width, round(STANDING.ground_reach * height))
-        rows = slice(max(top - STANDING.ring_width, 0), top + height + reach)
+        reach = max(OBJECTS.ring_width, round(STANDING.ground_reach * height))
+        rows = slice(max(top - OBJECTS.ring_width, 0), top + height + reach)
         columns = slice(max(left - reach, 0), left + width + reach)
         inverse_depth, deviation = (array[rows, columns].astype(np.float64) for array in static)
         is_object = labels[rows, columns] == object_id
         is_usable = (labels[rows, columns] == 0) & np.isfinite(deviation) & (inverse_depth > 0)
         if has_feet:
             contact, slope = _find_contact(is_object, inverse_depth, is_usable)
+            has_feet = np.isfinite(contact)
         around = _find_around(is_object, inverse_depth, is_usable)
-    return Sight(
+    return FrameMeasures(
         frame=frame,
         contact=contact,
         slope=slope,
         around=around,
-        height=float("nan") if is_cut else float(height),
-        length=float(max(width, height)),
+        height=float(height) if ends_above and has_feet else float("nan"),
+        length=float(max(width, height)) if is_whole else float("nan"),
         thickness=STANDING.thickness * min(width, height) / focal,
     )
 
@@ -172,7 +178,7 @@ def _find_contact(
     The ground is the plane of most pixels below the feet, and a little above them: what stands on
     it in front of the object, or is seen below feet that lack a label, is not in this plane. The
     slope is the relative change of its inverse depth over the object's height. A surface that does
-    not come nearer downwards is no ground; both numbers are NaN then.
+    not come nearer downwards is no ground; both numbers are NaN then, or if the feet are hidden.
     """
     unknown = float("nan"), float("nan")
     object_rows = np.flatnonzero(is_object.any(axis=1))
@@ -190,7 +196,18 @@ def _find_contact(
     if plane is None or plane[0] <= 0:
         return unknown
     slope = float(plane[2] * height / plane[0])
-    return (float(plane[0]), slope) if slope >= STANDING.min_slope else unknown
+    if slope < STANDING.min_slope:
+        return unknown
+    # Below feet that are hidden, there is another object, or what hides them.
+    lowest = is_object[foot - round(STANDING.foot_share * height) : foot + 1]
+    feet = np.flatnonzero(lowest.any(axis=0))
+    y, x = np.ix_(foot + STANDING.hidden_distance + np.arange(STANDING.hidden_rows), feet)
+    y = y[y[:, 0] < len(is_object)]
+    expected = plane[0] + plane[1] * (x - center) + plane[2] * (y - foot)
+    is_near = np.abs(inverse_depth[y, x] - expected) < STANDING.hidden_tolerance * expected
+    if not (is_near & is_usable[y, x]).mean() >= STANDING.min_seen_share:
+        return unknown
+    return float(plane[0]), slope
 
 
 def _fit_most(basis: np.ndarray, values: np.ndarray) -> np.ndarray | None:
@@ -222,11 +239,11 @@ def _find_around(
 
     The object hides them. So it is at least as near.
     """
-    window = np.ones((2 * STANDING.ring_width + 1,) * 2, np.uint8)
+    window = np.ones((2 * OBJECTS.ring_width + 1,) * 2, np.uint8)
     ring = (cv2.dilate(is_object.astype(np.uint8), window) > 0) & is_usable
     if not ring.any():
         return float("nan")
-    return float(np.quantile(inverse_depth[ring], STANDING.nearest_quantile))
+    return float(np.quantile(inverse_depth[ring], OBJECTS.nearest_quantile))
 
 
 def _fit(
@@ -281,6 +298,10 @@ def _fit(
         residual = ((matrix @ solution - target) * precision)[:data_count]
         weight[:data_count] = 1 / (1 + residual**2)  # Cauchy's loss
         weight[:data_count][residual > 0] *= STANDING.short_weight
-    variance = np.diag(factor.solve(np.eye(count + 1)))[:count]
+    chosen = np.unique(np.linspace(0, count - 1, STANDING.max_variances).astype(int))
+    units = np.zeros((count + 1, len(chosen)))
+    units[chosen, np.arange(len(chosen))] = 1.0
+    variances = np.take_along_axis(factor.solve(units), chosen[None], axis=0)[0]
+    variance = np.interp(np.arange(count), chosen, variances)
     misfit = np.abs(solution[has_measure] - measured[has_measure])
-    return solution[:count], np.sqrt(variance), float(np.median(misfit)) / MEDIAN_RATIO
+    return solution[:count], np.sqrt(variance), float(np.median(misfit)) / GRADES.median_ratio

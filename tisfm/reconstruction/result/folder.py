@@ -67,6 +67,9 @@ def write_depth(
 ) -> None:
     """Write the depth of a frame, with 11 significant bits."""
     scale = max_finite(inverse_depth) / MAX_HALF or 1.0
+    # A finite deviation stays finite: an infinite one means that depth is filled.
+    largest = np.float32(MAX_HALF * scale)
+    deviation = np.where(np.isfinite(deviation), np.minimum(deviation, largest), deviation)
     with np.errstate(over="ignore"):
         halves = [
             (values / np.float32(scale)).astype("<f2") for values in (inverse_depth, deviation)

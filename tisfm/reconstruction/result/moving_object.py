@@ -36,8 +36,8 @@ class MovingObject:
     scale_from : {"size", "contact", "around", "none"}
         Source of its scale, which motion alone does not give. ``"size"``: ``object_sizes`` of
         `tisfm.reconstruct`; ``"contact"``: its contact with the static scene; ``"around"``:
-        roughly, the depth around it; ``"none"``: its depth is unknown. An object without poses that
-        has a scale has one depth in each frame: that of the place where it stands.
+        roughly, the depth around it; ``"none"``: nothing gives it. An object without poses that has
+        a scale has one depth in each frame: that of the place where it stands.
     message : str
         The reason why it has no poses, or few poses, and then where its depth is from.
 

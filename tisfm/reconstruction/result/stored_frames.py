@@ -92,6 +92,8 @@ class StoredFrames(ReconstructionRecord):
     ) -> PointCloud:
         """Return coloured points on which several frames agree, in the axes of the world.
 
+        Labelled pixels, which move on their own, are left out.
+
         Parameters
         ----------
         frames : iterable of int, optional

@@ -48,7 +48,7 @@ def write_result(
             job.settings,
             with_depth=job.depth_of != "none",
             sizes=job.object_sizes,
-            has_exact_labels=bool(reading.labelled_frames),
+            given_labels=frozenset(reading.labelled_frames),
         )
     errors, shares = _find_depth_errors(job, reading, calibration, depth, checks, objects)
     result = Reconstruction(
