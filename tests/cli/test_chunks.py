@@ -140,9 +140,8 @@ def test_chunks_of_another_command_are_refused(tisfm_run, frames, chunked, work_
         (("--workers", "2", "--cluster", "tcp://here:1"), "has workers of its own"),
         (("--chunk", "0"), "chunk is 0"),
         (("--chunk", "11"), "expected a number of frames, at least 12"),
-        (("--workers", "2", "--motion", "objects"), "reconstruct in one process"),
-        (("--workers", "2", "--labels", "film"), "--labels and --object-sizes"),
-        (("--chunk", "20", "--object-sizes", "1=2"), "--labels and --object-sizes"),
+        (("--workers", "2", "--labels", "film"), "do not work in chunks"),
+        (("--chunk", "20", "--object-sizes", "1=2"), "do not work in chunks"),
     ],
 )
 def test_impossible_options_of_chunks_are_refused(tisfm_run, frames, work_folder, options, text):
