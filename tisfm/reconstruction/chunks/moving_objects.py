@@ -81,8 +81,9 @@ def _match_objects(before: ChunkResult, after: ChunkResult) -> dict[int, int]:
         pair = (part.result.labels(part.frames[index]) for part in (before, after))
         first, second = (labels.astype(np.intp).ravel() for labels in pair)
         counts += np.bincount(256 * first + second, minlength=256 * 256).reshape(256, 256)
-    union = counts.sum(axis=1)[:, None] + counts.sum(axis=0)[None] - counts
-    overlap = (counts / np.maximum(union, 1))[1:, 1:]
+    # A chunk may miss a part of an object at its ends: the smaller of two labels has to overlap.
+    smaller = np.minimum(counts.sum(axis=1)[:, None], counts.sum(axis=0)[None])
+    overlap = (counts / np.maximum(smaller, 1))[1:, 1:]
     firsts, seconds = linear_sum_assignment(overlap, maximize=True)
     return {
         int(second) + 1: int(first) + 1
