@@ -25,8 +25,8 @@ class ChunkSettings:
     # certainty of every estimate
     min_scale_deviation: float = 0.01
     # moving_objects
-    # share of the smaller of two labels, in the shared frames, that the other one covers if both are
-    # of one object; two rendered walkers had 0.7 and 0.99
+    # share of the smaller of two labels, in the shared frames, that the other one covers: least
+    # share for one object; two rendered walkers had 0.7 and 0.99
     min_object_overlap: float = 0.5
     # shared_camera
     max_tried_chunks: int = 8  # chunks whose frames may give the focal length
