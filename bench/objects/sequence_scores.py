@@ -163,6 +163,27 @@ def table(scores: Sequence[ClipScore]) -> Table:
     return Table(head, rows)
 
 
+def every_clip(scores: Sequence[ClipScore]) -> Table:
+    """Return a row for every clip and every method, in its best variant in the clip's group."""
+    rows = []
+    for method, group in dict.fromkeys((s.method, s.group) for s in scores if not s.failure):
+        of_method = [s for s in scores if (s.method, s.group) == (method, group) and not s.failure]
+        rows += [
+            [
+                s.clip,
+                method,
+                *(f"{value:.3f}" for value in (s.iou, s.union, s.boundary)),
+                *(
+                    _percent_mean([] if share is None else [share])
+                    for share in (s.with_depth, s.depth, s.order)
+                ),
+            ]
+            for s in best(of_method)
+        ]
+    head = ["clip", "method", "IoU", "union", "F", "with depth, %", "depth, %", "order, %"]
+    return Table(head, rows)
+
+
 def details(scores: Sequence[ClipScore]) -> Table:
     """Return a row for every variant, with the mean IoU of each group."""
     groups = list(dict.fromkeys(s.group for s in scores))

@@ -32,7 +32,7 @@ from bench.objects.sequence_methods import (
     Mixtures,
     Reconstruct,
 )
-from bench.objects.sequence_scores import ClipScore, details, score_clip, table
+from bench.objects.sequence_scores import ClipScore, details, every_clip, score_clip, table
 from bench.shared.command import choose, command_text, options_parser, output_name, running_peers
 from bench.shared.contest import MethodFailure
 from bench.shared.results import (
@@ -146,6 +146,7 @@ def report(results: dict[str, Any]) -> str:
     blocks: list[str | Table] = []
     for group, scores in groups(results["scores"]).items():
         blocks += [f"## {TITLES[group]}", table(scores)]
+    blocks += ["## Every clip", every_clip(results["scores"])]
     blocks += ["## Every variant", details(results["scores"])]
     missing_notes = [f"missing: {name}: {reason}" for name, reason in results["missing"].items()]
     notes = [*NOTES, *missing_notes, *failures(results["scores"])]

@@ -11,11 +11,17 @@ import pytest
 
 import tisfm
 from bench.objects import segmentation, sequences
-from bench.objects.clips import davis_clip, davis_folders, neighbours, render_clip
+from bench.objects.clips import (
+    RENDERED_CLIPS,
+    davis_clip,
+    davis_folders,
+    neighbours,
+    render_clip,
+)
 from bench.objects.mask_scores import boundary_f, object_depth_score, union_iou
 from bench.objects.segmentation import one_label, track_parts
 from bench.objects.sequence_methods import ClipLabels, Reconstruct
-from bench.objects.sequence_scores import ClipScore, best, details, score_clip, table
+from bench.objects.sequence_scores import ClipScore, best, details, every_clip, score_clip, table
 from bench.shared.contest import MethodFailure
 from tests.noise import moving_noise
 from tisfm.formats import write_png
@@ -173,6 +179,10 @@ def test_peers_are_compared_at_their_best():
     (row,) = table(scores).rows
     assert row[:4] == ["a (y)", "0.600", "0.600", "0.600"] and row[7] == "3"
     assert details(scores).rows == [["a", "x", "0.500", "0"], ["a", "y", "0.600", "3"]]
+    assert [row[:3] for row in every_clip(scores).rows] == [
+        ["one", "a", "0.600"],
+        ["two", "a", "0.600"],
+    ]
     failed = ClipScore(method="b", group="DAVIS", clip="one", variant="", failure="no")
     assert table([*scores, failed]).rows[1] == ["b", *["–"] * 9]
 
@@ -236,7 +246,7 @@ def test_smoke(tmp_path, monkeypatch, capsys):
     assert sequences.main(options) == 0
     assert "OpenCV DIS medium + clusters" in capsys.readouterr().out
     text = (tmp_path / "smoke-objects_sequences.md").read_text(encoding="utf-8")
-    assert "missing: DAVIS" in text and "## Film of bodies" in text and "MOG2" in text
+    assert "missing: DAVIS" in text and "## Rendered films" in text and "MOG2" in text
     record = json.loads((tmp_path / "smoke-objects_sequences.json").read_text(encoding="utf-8"))
-    assert {score["clip"] for score in record["scores"]} == {"bodies"}
+    assert {score["clip"] for score in record["scores"]} == set(RENDERED_CLIPS)
     assert sequences.main(["--smoke", "--only", "nothing", "--threads", THREADS]) == 2
