@@ -49,14 +49,16 @@ def write_joined_objects(
             table[number] = joined
         write_labels(folder, frame, table[labels])
     objects = labelled_objects(len(placements), lambda frame: read_labels(folder, frame, shape))
-    return tuple(_with_poses(obj, parts, placements, ids) for obj in objects)
+    pieces = [placement.piece for placement in placements if placement.piece >= 0]
+    largest = int(np.bincount(pieces).argmax()) if pieces else 0
+    return tuple(_with_poses(obj, parts, placements, ids, largest) for obj in objects)
 
 
 def join_ids(parts: Sequence[ChunkResult]) -> list[dict[int, int]]:
     """Return, for each chunk, the id in the joined result of each of its objects.
 
-    Ids are counted in the order in which objects appear. A label has no more than `MAX_OBJECTS`
-    values: later objects are left out.
+    Objects get ids in the order in which they appear. Objects after the number `MAX_OBJECTS` are
+    left out, as labels have no value for them.
     """
     ids = [{obj.id: k for k, obj in enumerate(parts[0].result.objects, 1)}]
     count = len(ids[0])
@@ -97,14 +99,13 @@ def _with_poses(
     parts: Sequence[ChunkResult],
     placements: Sequence[ChunkPlacement],
     ids: Ids,
+    largest: int,  # the largest piece of the joined result
 ) -> MovingObject:
     """Return an object with its poses in the largest piece, its extent and its message.
 
-    Axes, extent, source of the scale and message are those of the chunk with most of its poses, or
-    else of its frames.
+    The chunk with most poses of the object gives the axes, the extent, the source of the scale and
+    the message. Without poses, the chunk with most of its frames gives them.
     """
-    pieces = np.array([placement.piece for placement in placements])
-    largest = int(np.bincount(pieces[pieces >= 0]).argmax()) if (pieces >= 0).any() else 0
     chunks = {
         number: _object_poses(entry, number, part, placements, largest)
         for number, part in enumerate(parts)
@@ -141,8 +142,8 @@ def _object_poses(
 ) -> _ObjectPoses:
     """Return the poses of an object of a chunk, relative to the camera, in the joined unit.
 
-    Objects have poses in the largest piece of a chunk. If it is no part of the largest piece of the
-    joined result, its unit there is unknown, and the object has no poses.
+    The object has no poses if the largest piece of the chunk is not in the largest piece of the
+    joined result: the ratio of their units is unknown.
     """
     scale = next(
         (
