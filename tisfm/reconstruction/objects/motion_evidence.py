@@ -70,14 +70,18 @@ class Evidence:
         )
 
 
-def frame_evidence(motion: ImageMotion, frame: int) -> Evidence:
+def frame_evidence(
+    motion: ImageMotion,
+    frame: int,
+    camera: Camera,  # a pinhole, for the frames of the image motion
+) -> Evidence:
     """Return the evidence of the image motion from a frame to its neighbour frames.
 
     Between two frames, one rigid motion is fitted to the valid image motion. The evidence of a
     pixel depends on its distance, in the other frame, from the nearest possible position of a
     static point. The unit of this distance is the standard deviation of static pixels.
     """
-    shape, camera = motion.grey(frame).shape, motion.camera()
+    shape = motion.grey(frame).shape
     total, weight = (np.zeros(shape, np.float32) for _ in range(2))
     grid, grey = pixel_grid(shape), motion.grey(frame)
     for chain in motion.chained_flows(frame, max(OBJECTS.pair_steps)):

@@ -33,8 +33,8 @@ class SequenceLabels:
     ) -> None:
         self._motion = ImageMotion(camera, TRACKING_SETTINGS)
         self._shape = (0, 0)
-        self._evidence = DiskCache(Evidence.to_arrays, Evidence.from_arrays)
-        self._accumulated: Sequence[Evidence] = ()
+        self._pair_evidence = _evidence_cache()
+        self._pair_focal = 0.0  # px: focal length that the evidence of frame pairs belongs to
 
     @classmethod
     def of_frames(cls, frames: PreparedFrames) -> "SequenceLabels":
@@ -57,25 +57,41 @@ class SequenceLabels:
         camera: Camera | None = None,  # the pinhole camera of the path, for the frames
     ) -> Iterator[np.ndarray]:
         """Yield the labels of every frame, (H, W) uint8: 0 for static pixels, or an object id."""
+        camera = self._motion.camera(camera)
+        evidence = self._find_pair_evidence(camera)
+        accumulated = accumulate_evidence(self._motion, evidence)
         ground = None
-        if poses is not None and camera is not None:
-            ground = self._add_path(poses, camera)
-        elif not len(self._evidence):
-            for frame in range(len(self._motion)):
-                self._evidence.append(frame_evidence(self._motion, frame))
-        self._accumulated = accumulate_evidence(self._motion, self._evidence)
-        labels = ObjectTracker(self._motion, self._evidence, self._accumulated).labels()
-        for frame_labels in labels if ground is None else self._with_ground(labels, ground):
+        if poses is not None:
+            evidence, ground = self._add_path(evidence, accumulated, poses, camera)
+            accumulated = accumulate_evidence(self._motion, evidence)
+        labels = ObjectTracker(self._motion, evidence, accumulated).labels()
+        if ground is not None:
+            labels = self._with_ground(labels, evidence, ground)
+        for frame_labels in labels:
             yield enlarge_labels(frame_labels, self._motion.scale, self._shape)
 
-    def _add_path(self, poses: Sequence[np.ndarray | None], camera: Camera) -> BelowGroundSearch:
-        """Add the evidence of the camera path, and return the search below the ground."""
-        small_camera = self._motion.camera(camera)
-        summed_evidence = DiskCache(Evidence.to_arrays, Evidence.from_arrays)
+    def _find_pair_evidence(self, camera: Camera) -> Sequence[Evidence]:
+        """Return the evidence of frame pairs, of every frame; it is kept for a similar camera."""
+        change = abs(np.log(camera.focal / self._pair_focal)) if self._pair_focal else np.inf
+        if change > OBJECTS.max_focal_change:
+            self._pair_evidence, self._pair_focal = _evidence_cache(), camera.focal
+            for frame in range(len(self._motion)):
+                self._pair_evidence.append(frame_evidence(self._motion, frame, camera))
+        return self._pair_evidence
+
+    def _add_path(
+        self,
+        evidence: Sequence[Evidence],  # of frame pairs, by frame
+        accumulated: Sequence[Evidence],  # the same, accumulated over frames
+        poses: Sequence[np.ndarray | None],
+        camera: Camera,  # of the frames of the image motion
+    ) -> tuple[Sequence[Evidence], BelowGroundSearch]:
+        """Return the evidence with that of the camera path, and the search below the ground."""
+        summed_evidence = _evidence_cache()
         depths = DiskCache(StaticDepth.to_arrays, StaticDepth.from_arrays)
-        for frame, pair_evidence in enumerate(self._evidence):
-            moving_pixels = self._accumulated[frame].mean() > OBJECTS.region_evidence
-            path_result = path_evidence(self._motion, frame, poses, small_camera, moving_pixels)
+        for frame, pair_evidence in enumerate(evidence):
+            moving_pixels = accumulated[frame].mean() > OBJECTS.region_evidence
+            path_result = path_evidence(self._motion, frame, poses, camera, moving_pixels)
             if path_result is None:
                 summed_evidence.append(pair_evidence)
                 depths.append(StaticDepth.empty(moving_pixels.shape))
@@ -86,11 +102,13 @@ class SequenceLabels:
             static_pixels = ~moving_pixels & (multi_frame.weight > OBJECTS.min_static_weight)
             static_pixels &= multi_frame.total < max_total
             depths.append(StaticDepth(inverse_depth=inverse_depth, static_pixels=static_pixels))
-        self._evidence = summed_evidence
-        return BelowGroundSearch(self._motion, poses, small_camera, depths)
+        return summed_evidence, BelowGroundSearch(self._motion, poses, camera, depths)
 
     def _with_ground(
-        self, labels: Iterator[np.ndarray], ground: BelowGroundSearch
+        self,
+        labels: Iterator[np.ndarray],
+        pair_and_path_evidence: Sequence[Evidence],  # by frame
+        ground: BelowGroundSearch,
     ) -> Iterator[np.ndarray]:
         """Yield the labels of every frame, with objects below the ground added under new ids.
 
@@ -98,12 +116,12 @@ class SequenceLabels:
         may extend into another moving object, which keeps its label.
         """
         cache: DiskCache[np.ndarray] = DiskCache(lambda labels: (labels,), lambda labels: labels)
-        evidence = DiskCache(Evidence.to_arrays, Evidence.from_arrays)
+        evidence = _evidence_cache()
         max_id, has_objects = 0, False
         for frame, frame_labels in enumerate(labels):
             cache.append(frame_labels)
             max_id = max(max_id, int(frame_labels.max()))
-            static_evidence = self._evidence[frame].with_static_pixels(frame_labels > 0)
+            static_evidence = pair_and_path_evidence[frame].with_static_pixels(frame_labels > 0)
             below_ground = ground.evidence(frame, frame_labels > 0)
             has_objects |= below_ground is not None
             evidence.append(
@@ -119,6 +137,10 @@ class SequenceLabels:
         for frame_labels, other in zip(cache, other_labels, strict=True):
             is_new = (frame_labels == 0) & (other > 0) & (other <= MAX_OBJECTS - max_id)
             yield np.where(is_new, other + np.uint8(max_id), frame_labels)
+
+
+def _evidence_cache() -> DiskCache[Evidence]:
+    return DiskCache(Evidence.to_arrays, Evidence.from_arrays)
 
 
 def enlarge_labels(
@@ -149,30 +171,71 @@ def find_static_path(
     find_path: Callable[[Calibrate | None], CameraPath],
     # gives the frames the camera of a path, and prepares the frames anew if needed
     set_camera: Callable[[CameraPath], None],
+    # Returns whether the image motion contradicts a path nowhere; None if it is known to contradict
+    # the path of all pixels.
+    is_right: Callable[[CameraPath], bool] | None = None,
+    plain_path: CameraPath | None = None,  # the path of all pixels; None if it is not yet known
 ) -> CameraPath:
     """Label the moving objects, unless labels are given, and return the path of the static pixels.
 
-    The first labels need no path. With the path from these labels, many frames give evidence for
-    better labels; if a label changes, the path is found again. If the path has a lens distortion or
-    a rolling shutter, the frames are undistorted first, and labels and path are found again as if
-    the user had given this camera.
+    If the path of all pixels is right, the labels are found with it, and then the path of the
+    static pixels. If the labels make the path wrong, the path of all pixels remains.
+
+    Otherwise the first labels are found without a path. With the path from these labels, many
+    frames give evidence for better labels; if a label changes, the path is found again. If the path
+    has a lens distortion or a rolling shutter, the frames are undistorted first, and labels and
+    path are found again as if the user had given this camera.
     """
+    if search is not None and is_right is not None:
+        plain_path = plain_path or find_path(None)
+        if plain_path.position_count and _is_simple(plain_path) and is_right(plain_path):
+            path = _label_with_path(frames, search, plain_path, find_path, is_right)
+            set_camera(path)
+            return path
     if search is not None:
         _set_labels(frames, search.labels())
     path = find_path(None)
     focal = path.focal
     calibrate: Calibrate | None = None
-    if search is not None and (path.rolling is not None or not path.camera.is_pinhole):
+    if search is not None and not _is_simple(path):
         set_camera(path)
         search, calibrate = SequenceLabels.of_frames(frames), "nothing"
         _set_labels(frames, search.labels())
         path = find_path(calibrate)
     if search is not None and _set_labels(
-        frames, search.labels(_largest_piece_poses(path, frames.count), path.camera.pinhole())
+        frames, search.labels(*_poses_and_camera(path, frames.count))
     ):
         path = find_path(calibrate)
     set_camera(path)
     return path if calibrate is None else replace(path, focal=focal)
+
+
+def _label_with_path(
+    frames: PreparedFrames,
+    search: SequenceLabels,
+    plain_path: CameraPath,  # of all pixels, and right
+    find_path: Callable[[Calibrate | None], CameraPath],
+    is_right: Callable[[CameraPath], bool],
+) -> CameraPath:
+    """Label the moving objects with the path of all pixels; return the path of the static pixels.
+
+    If that path has positions in more frames, labels and path are found once more.
+    """
+    _set_labels(frames, search.labels(*_poses_and_camera(plain_path, frames.count)))
+    path = find_path(None)
+    is_longer = path.position_count > plain_path.position_count
+    if (
+        is_longer
+        and is_right(path)
+        and _set_labels(frames, search.labels(*_poses_and_camera(path, frames.count)))
+    ):
+        path = find_path(None)
+    return plain_path if not is_right(path) and is_right(plain_path) else path
+
+
+def _is_simple(path: CameraPath) -> bool:
+    """Return whether a path has neither a lens distortion nor a rolling shutter."""
+    return path.rolling is None and path.camera.is_pinhole
 
 
 def label_remaining_frames(frames: PreparedFrames, labelled_frames: Sequence[int]) -> None:
@@ -197,6 +260,11 @@ def _set_labels(frames: PreparedFrames, labels: Iterable[np.ndarray]) -> bool:
     return any(
         [frames.set_labels(number, frame_labels) for number, frame_labels in enumerate(labels)]
     )
+
+
+def _poses_and_camera(path: CameraPath, count: int) -> tuple[list[np.ndarray | None], Camera]:
+    """Return the poses of the largest piece, as below, and the pinhole camera of a path."""
+    return _largest_piece_poses(path, count), path.camera.pinhole()
 
 
 def _largest_piece_poses(path: CameraPath, count: int) -> list[np.ndarray | None]:

@@ -46,6 +46,9 @@ class ObjectSettings:
     # standard deviation of static points from a usable camera path, as a share of the longer side
     max_path_error: float = 1.5e-3
     # sequence_labels
+    # logarithm of the focal length of a path over that of known evidence of frame pairs: beyond it,
+    # this evidence is found anew
+    max_focal_change: float = 0.02
     min_static_weight: float = 0.3  # frames: weight of the evidence of a static pixel
     min_ground_share: float = 0.03  # share of the pixels that show the ground
     max_roll_slope: float = 0.15  # tangent of the roll of an upright camera above the ground

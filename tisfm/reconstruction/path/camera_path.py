@@ -62,3 +62,8 @@ class CameraPath:
     def pieces_with_positions(self) -> list[Piece]:
         """The pieces in which the camera does more than turn."""
         return [piece for piece in self.pieces if not piece.only_turns]
+
+    @property
+    def position_count(self) -> int:
+        """The number of frames with a position."""
+        return sum(len(piece.poses) for piece in self.pieces_with_positions)

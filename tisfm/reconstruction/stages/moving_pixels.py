@@ -49,11 +49,11 @@ def mask_moving_pixels(
     frames = reading.frames
     job.progress("path", 0, frames.count)  # the stage begins again
     camera = frames.camera
-    min_positions = _count_positions(first.path)
+    min_positions = first.path.position_count
 
     def choose(path: CameraPath) -> CameraPath:
         """Return the first path if the labels mend it, and a new path does not fit."""
-        is_whole = _count_positions(path) >= min_positions
+        is_whole = path.position_count >= min_positions
         if (is_whole and _fits(frames, path)) or not _fits(frames, first.path):
             return path
         return first.path
@@ -65,7 +65,7 @@ def mask_moving_pixels(
     frames.camera = replace(frames.camera, readout=camera.readout)
     shares = np.array([(frames.labels(k) > 0).mean() for k in range(frames.count)])
     is_mended = 0 < shares.mean() <= OBJECTS.max_masked_share and _fits(frames, result.path)
-    if not is_mended or _count_positions(result.path) < min_positions:
+    if not is_mended or result.path.position_count < min_positions:
         frames.delete_labels()
         frames.camera = camera
         return None
@@ -87,7 +87,3 @@ def may_show_objects(checks: Sequence[PathCheck]) -> bool:
 def _fits(frames: PreparedFrames, path: CameraPath) -> bool:
     """Return whether no check contradicts a path, at the pixels that count as static."""
     return not any(check.contradicts for check in check_path(frames, path))
-
-
-def _count_positions(path: CameraPath) -> int:
-    return sum(len(piece.poses) for piece in path.pieces_with_positions)

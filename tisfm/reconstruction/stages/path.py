@@ -9,6 +9,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.errors import InputError
 from tisfm.focal_guess import GuessedFocalWarning
+from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.objects.sequence_labels import (
     SequenceLabels,
     find_static_path,
@@ -21,6 +22,7 @@ from tisfm.reconstruction.path.path_solver import PathSolver
 from tisfm.reconstruction.path_checks.fixed_texture import camera_turns, find_fixed_pixels
 from tisfm.reconstruction.result.calibration import Calibrate, Calibration
 from tisfm.reconstruction.result.moving_object import refuse_unknown_ids
+from tisfm.reconstruction.stages.checks import check_path
 from tisfm.reconstruction.stages.job import Job
 from tisfm.reconstruction.stages.reading import ReadingResult, make_tracker
 from tisfm.reconstruction.tracks.photographs import are_photographs, match_photographs
@@ -79,14 +81,21 @@ def solve_path(
             path = _find_path(job, reading, reading.tracks, job.calibrate)
         correct(path)
     else:
-        labels = reading.labels
+        labels, plain_path = reading.labels, None
         if masked := _mask_fixed_pixels(job, reading):
-            mask = masked[1]
+            plain_path, mask = masked
             if labels is not None:
                 labels = SequenceLabels.of_frames(frames)
         if labels is None:
             _label_all_frames(job, reading)
-        path = find_static_path(frames, labels, solve_static_path, correct)
+        path = find_static_path(
+            frames,
+            labels,
+            solve_static_path,
+            correct,
+            lambda path: _is_right(frames, path),
+            plain_path,
+        )
         refuse_unknown_ids(job.object_sizes, frames.object_ids())
     job.progress("path", len(reading.names), len(reading.names))
     return PathResult(path=path, camera=full_camera, fixed_pixels=mask, zoom=path.zoom)
@@ -171,6 +180,11 @@ def _find_path(
         doubt = "; ".join(filter(None, [path.doubt, FAR_APART]))
         path = replace(path, has_photographs=True, doubt=doubt)
     return path
+
+
+def _is_right(frames: PreparedFrames, path: CameraPath) -> bool:
+    """Return whether neither tracks nor image motion contradict a path."""
+    return not path.objection and not any(check.contradicts for check in check_path(frames, path))
 
 
 def _label_all_frames(job: Job, reading: ReadingResult) -> None:
