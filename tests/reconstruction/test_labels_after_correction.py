@@ -14,8 +14,9 @@ from tisfm.camera import Camera
 from tisfm.focal_guess import GuessedFocalWarning
 from tisfm.lens import Undistortion
 from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
-from tisfm.reconstruction.mapping.solution import FocalEstimate, Piece
-from tisfm.reconstruction.objects.sequence_labels import SequenceLabels, find_static_path
+from tisfm.reconstruction.mapping.solution import FocalEstimate
+from tisfm.reconstruction.objects.sequence_labels import SequenceLabels
+from tisfm.reconstruction.objects.static_path import find_static_path
 from tisfm.reconstruction.path.camera_path import CameraPath
 from tisfm.rigid import pose_matrix
 from tisfm.scenes import bodies_path
@@ -135,65 +136,6 @@ def test_path_begins_again_with_corrected_frames(tmp_path, is_given):
     if is_given:
         moved = np.nan_to_num(straight.apply_nearest(true[0].astype(np.float32)))
         np.testing.assert_array_equal(frames.labels(0), moved)
-
-
-# By number of the call, from 0: whether the checks are satisfied with the path of all pixels, with
-# that of the static pixels, and once more with the first one.
-@pytest.mark.parametrize(
-    ("answers", "calls", "used"),
-    [
-        ([True, True], 2, 1),
-        ([True, False, True], 2, 0),
-        ([True, False, False], 2, 1),  # both are wrong: the labels may show why
-        ([False], 3, 2),
-    ],
-)
-def test_path_of_all_pixels_remains_unless_it_is_wrong(tmp_path, answers, calls, used):
-    count = 6
-    scene = bodies_film(bodies_path(count), 120, 160)
-    frames = prepared(tmp_path, scene.frames, [None] * count)
-    search = SequenceLabels(frames.camera)
-    for picture in scene.frames:
-        search.add(picture)
-    found, judged = [], []
-
-    def path_of(calibrate):
-        found.append(path_of_poses(scene.poses, frames.camera))
-        return found[-1]
-
-    def is_right(path):
-        judged.append(path)
-        return answers[len(judged) - 1]
-
-    path = find_static_path(frames, search, path_of, lambda path: None, is_right)
-    assert len(found) == calls and len(judged) == len(answers)
-    assert path is found[used]
-    true = scene.labels > 0
-    labels = np.stack([frames.labels(k) for k in range(count)]) > 0
-    assert (labels & true).sum() / (labels | true).sum() > 0.5
-
-
-def test_longer_path_of_static_pixels_gives_new_labels(tmp_path):
-    count = 6
-    scene = bodies_film(bodies_path(count), 120, 160)
-    frames = prepared(tmp_path, scene.frames, [None] * count)
-    search = SequenceLabels(frames.camera)
-    for picture in scene.frames:
-        search.add(picture)
-    labels = []
-
-    def path_of(calibrate):
-        labels.append([frames.labels(k) for k in range(count)])
-        return path_of_poses(scene.poses[: 4 if len(labels) == 1 else count], frames.camera)
-
-    find_static_path(frames, search, path_of, lambda path: None, lambda path: True)
-    assert len(labels) == 3
-    assert any((one != other).any() for one, other in zip(*labels[1:], strict=True))
-
-
-def path_of_poses(poses, camera):
-    piece = Piece(poses=dict(enumerate(poses)), views=(0,), points={})
-    return CameraPath(pieces=(piece,), missing={}, observations=(), camera=camera)
 
 
 @pytest.mark.nightly

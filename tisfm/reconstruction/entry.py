@@ -84,8 +84,8 @@ def reconstruct(
     settings : Settings, optional
         By default the preset ``"balanced"`` with ``motion="camera"``: moving objects are outliers,
         and ignored where their motion does not fit the static scene. With ``motion="objects"``,
-        moving objects are found first, labelled in every frame, and left out of the camera path and
-        the depth. Each object gets a path and a depth of its own, as far as its motion shows them.
+        moving objects are labelled in every frame, and left out of the camera path and the depth.
+        Each object gets a path and a depth of its own, as far as its motion shows them.
         In this mode a readout is corrected if the camera states it, but not estimated.
         ``motion="field"``, the default of `Settings`, is possible for pairs only: ``"camera"``
         replaces it, also in `Reconstruction.settings`.

@@ -1,7 +1,6 @@
 """Labels of moving objects in every frame, and the camera path from the static pixels."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 
 import cv2
 import numpy as np
@@ -20,8 +19,6 @@ from tisfm.reconstruction.objects.motion_evidence import (
 from tisfm.reconstruction.objects.path_evidence import BelowGroundSearch, StaticDepth, path_evidence
 from tisfm.reconstruction.objects.settings import OBJECTS
 from tisfm.reconstruction.objects.tracked_objects import MAX_OBJECTS
-from tisfm.reconstruction.path.camera_path import CameraPath
-from tisfm.reconstruction.result.calibration import Calibrate
 
 
 class SequenceLabels:
@@ -163,81 +160,6 @@ def enlarge_labels(
     return enlarged
 
 
-def find_static_path(
-    frames: PreparedFrames,  # this function stores the labels in the frames
-    search: SequenceLabels | None,  # with all frames added; None if the user gave labels
-    # returns the path of the frames with their current labels and camera; its argument states which
-    # camera parameters are calibrated
-    find_path: Callable[[Calibrate | None], CameraPath],
-    # gives the frames the camera of a path, and prepares the frames anew if needed
-    set_camera: Callable[[CameraPath], None],
-    # Returns whether the image motion contradicts a path nowhere; None if it is known to contradict
-    # the path of all pixels.
-    is_right: Callable[[CameraPath], bool] | None = None,
-    plain_path: CameraPath | None = None,  # the path of all pixels; None if it is not yet known
-) -> CameraPath:
-    """Label the moving objects, unless labels are given, and return the path of the static pixels.
-
-    If the path of all pixels is right, the labels are found with it, and then the path of the
-    static pixels. If the labels make the path wrong, the path of all pixels remains.
-
-    Otherwise the first labels are found without a path. With the path from these labels, many
-    frames give evidence for better labels; if a label changes, the path is found again. If the path
-    has a lens distortion or a rolling shutter, the frames are undistorted first, and labels and
-    path are found again as if the user had given this camera.
-    """
-    if search is not None and is_right is not None:
-        plain_path = plain_path or find_path(None)
-        if plain_path.position_count and _is_simple(plain_path) and is_right(plain_path):
-            path = _label_with_path(frames, search, plain_path, find_path, is_right)
-            set_camera(path)
-            return path
-    if search is not None:
-        _set_labels(frames, search.labels())
-    path = find_path(None)
-    focal = path.focal
-    calibrate: Calibrate | None = None
-    if search is not None and not _is_simple(path):
-        set_camera(path)
-        search, calibrate = SequenceLabels.of_frames(frames), "nothing"
-        _set_labels(frames, search.labels())
-        path = find_path(calibrate)
-    if search is not None and _set_labels(
-        frames, search.labels(*_poses_and_camera(path, frames.count))
-    ):
-        path = find_path(calibrate)
-    set_camera(path)
-    return path if calibrate is None else replace(path, focal=focal)
-
-
-def _label_with_path(
-    frames: PreparedFrames,
-    search: SequenceLabels,
-    plain_path: CameraPath,  # of all pixels, and right
-    find_path: Callable[[Calibrate | None], CameraPath],
-    is_right: Callable[[CameraPath], bool],
-) -> CameraPath:
-    """Label the moving objects with the path of all pixels; return the path of the static pixels.
-
-    If that path has positions in more frames, labels and path are found once more.
-    """
-    _set_labels(frames, search.labels(*_poses_and_camera(plain_path, frames.count)))
-    path = find_path(None)
-    is_longer = path.position_count > plain_path.position_count
-    if (
-        is_longer
-        and is_right(path)
-        and _set_labels(frames, search.labels(*_poses_and_camera(path, frames.count)))
-    ):
-        path = find_path(None)
-    return plain_path if not is_right(path) and is_right(plain_path) else path
-
-
-def _is_simple(path: CameraPath) -> bool:
-    """Return whether a path has neither a lens distortion nor a rolling shutter."""
-    return path.rolling is None and path.camera.is_pinhole
-
-
 def label_remaining_frames(frames: PreparedFrames, labelled_frames: Sequence[int]) -> None:
     """Propagate the labels of `labelled_frames`, in order, to the frames without labels."""
     if len(labelled_frames) == frames.count:
@@ -253,25 +175,3 @@ def label_remaining_frames(frames: PreparedFrames, labelled_frames: Sequence[int
 
     for number, labels in propagate_labels(motion, labelled_frames, labels_of):
         frames.set_labels(number, enlarge_labels(labels, motion.scale, frames.shape))
-
-
-def _set_labels(frames: PreparedFrames, labels: Iterable[np.ndarray]) -> bool:
-    """Store the labels of every frame, and return whether any label changed."""
-    return any(
-        [frames.set_labels(number, frame_labels) for number, frame_labels in enumerate(labels)]
-    )
-
-
-def _poses_and_camera(path: CameraPath, count: int) -> tuple[list[np.ndarray | None], Camera]:
-    """Return the poses of the largest piece, as below, and the pinhole camera of a path."""
-    return _largest_piece_poses(path, count), path.camera.pinhole()
-
-
-def _largest_piece_poses(path: CameraPath, count: int) -> list[np.ndarray | None]:
-    """Return the poses of the largest piece, by frame, (4, 4) each; None in other frames."""
-    poses: list[np.ndarray | None] = [None] * count
-    if pieces := path.pieces_with_positions:
-        largest = max(pieces, key=lambda piece: len(piece.poses))
-        for frame, pose in largest.poses.items():
-            poses[frame] = pose
-    return poses

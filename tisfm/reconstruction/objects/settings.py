@@ -46,8 +46,7 @@ class ObjectSettings:
     # standard deviation of static points from a usable camera path, as a share of the longer side
     max_path_error: float = 1.5e-3
     # sequence_labels
-    # logarithm of the focal length of a path over that of known evidence of frame pairs: beyond it,
-    # this evidence is found anew
+    # largest change of the focal length, logarithm, with which the evidence of frame pairs is kept
     max_focal_change: float = 0.02
     min_static_weight: float = 0.3  # frames: weight of the evidence of a static pixel
     min_ground_share: float = 0.03  # share of the pixels that show the ground
@@ -72,8 +71,10 @@ class ObjectSettings:
     min_hidden_difference: float = 12.0  # grey levels, mean, at the position of a hidden point
     min_hidden_points: float = 1.0  # static points that an object hides, divided by its size
     # largest share of the pixels, mean over the frames, that may be ignored as moving under
-    # `camera`; in a traffic jam between lorries it was 0.45
+    # `camera`, or labelled with a path of all pixels; it was 0.45 in a jam between lorries
     max_masked_share: float = 0.6
+    # static_path
+    label_rounds: int = 2  # how often labels are found with a path of all pixels, and a longer one
     # moving_regions
     region_evidence: float = -0.3  # mean evidence at the boundary of a moving region
     core_evidence: float = 0.3  # mean evidence in the core of a region, which a new object needs

@@ -48,6 +48,11 @@ def check_path(frames: PreparedFrames, path: CameraPath) -> tuple[PathCheck, ...
     )
 
 
+def agrees_with_images(frames: PreparedFrames, path: CameraPath) -> bool:
+    """Return whether the image motion of the unlabelled pixels contradicts no piece of a path."""
+    return not any(check.contradicts for check in check_path(frames, path))
+
+
 def _check_piece(
     frames: PreparedFrames,
     path: CameraPath,

@@ -11,13 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
 from tisfm.reconstruction.objects.sequence_labels import SequenceLabels
 from tisfm.reconstruction.objects.settings import OBJECTS
 from tisfm.reconstruction.path.camera_path import CameraPath
 from tisfm.reconstruction.result.folder import depth_path
 from tisfm.reconstruction.result.path_check import PathCheck
-from tisfm.reconstruction.stages.checks import check_path
+from tisfm.reconstruction.stages.checks import agrees_with_images
 from tisfm.reconstruction.stages.job import Job
 from tisfm.reconstruction.stages.path import PathResult, solve_path
 from tisfm.reconstruction.stages.reading import ReadingResult
@@ -54,7 +53,9 @@ def mask_moving_pixels(
     def choose(path: CameraPath) -> CameraPath:
         """Return the first path if the labels mend it, and a new path does not fit."""
         is_whole = path.position_count >= min_positions
-        if (is_whole and _fits(frames, path)) or not _fits(frames, first.path):
+        if (is_whole and agrees_with_images(frames, path)) or not agrees_with_images(
+            frames, first.path
+        ):
             return path
         return first.path
 
@@ -64,7 +65,9 @@ def mask_moving_pixels(
     result = solve_path(job, reading, SequenceLabels.of_frames(frames), choose)
     frames.camera = replace(frames.camera, readout=camera.readout)
     shares = np.array([(frames.labels(k) > 0).mean() for k in range(frames.count)])
-    is_mended = 0 < shares.mean() <= OBJECTS.max_masked_share and _fits(frames, result.path)
+    is_mended = 0 < shares.mean() <= OBJECTS.max_masked_share and agrees_with_images(
+        frames, result.path
+    )
     if not is_mended or result.path.position_count < min_positions:
         frames.delete_labels()
         frames.camera = camera
@@ -82,8 +85,3 @@ def may_show_objects(checks: Sequence[PathCheck]) -> bool:
     return bool(contradicted) and all(
         _CAUSED_BY_OBJECTS.issuperset(check.objections) for check in contradicted
     )
-
-
-def _fits(frames: PreparedFrames, path: CameraPath) -> bool:
-    """Return whether no check contradicts a path, at the pixels that count as static."""
-    return not any(check.contradicts for check in check_path(frames, path))

@@ -9,12 +9,8 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.errors import InputError
 from tisfm.focal_guess import GuessedFocalWarning
-from tisfm.reconstruction.frames.prepared_frames import PreparedFrames
-from tisfm.reconstruction.objects.sequence_labels import (
-    SequenceLabels,
-    find_static_path,
-    label_remaining_frames,
-)
+from tisfm.reconstruction.objects.sequence_labels import SequenceLabels, label_remaining_frames
+from tisfm.reconstruction.objects.static_path import find_static_path
 from tisfm.reconstruction.path.camera_path import FAR_APART, CameraPath
 from tisfm.reconstruction.path.camera_revision import revise_path
 from tisfm.reconstruction.path.given_path import take_given_path
@@ -22,7 +18,7 @@ from tisfm.reconstruction.path.path_solver import PathSolver
 from tisfm.reconstruction.path_checks.fixed_texture import camera_turns, find_fixed_pixels
 from tisfm.reconstruction.result.calibration import Calibrate, Calibration
 from tisfm.reconstruction.result.moving_object import refuse_unknown_ids
-from tisfm.reconstruction.stages.checks import check_path
+from tisfm.reconstruction.stages.checks import agrees_with_images
 from tisfm.reconstruction.stages.job import Job
 from tisfm.reconstruction.stages.reading import ReadingResult, make_tracker
 from tisfm.reconstruction.tracks.photographs import are_photographs, match_photographs
@@ -93,7 +89,7 @@ def solve_path(
             labels,
             solve_static_path,
             correct,
-            lambda path: _is_right(frames, path),
+            lambda path: agrees_with_images(frames, path),
             plain_path,
         )
         refuse_unknown_ids(job.object_sizes, frames.object_ids())
@@ -180,11 +176,6 @@ def _find_path(
         doubt = "; ".join(filter(None, [path.doubt, FAR_APART]))
         path = replace(path, has_photographs=True, doubt=doubt)
     return path
-
-
-def _is_right(frames: PreparedFrames, path: CameraPath) -> bool:
-    """Return whether neither tracks nor image motion contradict a path."""
-    return not path.objection and not any(check.contradicts for check in check_path(frames, path))
 
 
 def _label_all_frames(job: Job, reading: ReadingResult) -> None:
