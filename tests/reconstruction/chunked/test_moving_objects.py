@@ -61,6 +61,7 @@ def part_of(span, ids, *, scale=1.0, turn=(0, 0, 0), with_poses=True):
         objects=tuple(objects),
         poses=cameras,
         piece=np.zeros(len(span), int),
+        has_position=np.ones(len(span), bool),
         largest_piece=0,
         shape=SIZE,
     )
@@ -158,6 +159,17 @@ def test_poses_are_in_the_largest_piece(tmp_path):
     (known, _) = write_joined_objects(tmp_path, parts, placed)
     np.testing.assert_allclose(known.poses[:6], [object_pose(frame) for frame in range(6)])
     assert not np.isfinite(known.poses[6:]).any()
+
+
+def test_a_larger_piece_without_positions_does_not_count(tmp_path):
+    parts = [part_of(SPANS[0], (1, 2)), part_of(SPANS[1], (1, 2))]
+    parts[0].result.has_position[:] = False
+    placed = [
+        replace(placement, piece=placement.part) for placement in placements((1.0, 1.0), split=6)
+    ]
+    (known, _) = write_joined_objects(tmp_path, parts, placed)
+    assert not np.isfinite(known.poses[:6]).any()
+    np.testing.assert_allclose(known.poses[6:], [object_pose(frame) for frame in range(6, COUNT)])
 
 
 @pytest.mark.nightly

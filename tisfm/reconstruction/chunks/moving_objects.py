@@ -49,7 +49,12 @@ def write_joined_objects(
             table[number] = joined
         write_labels(folder, frame, table[labels])
     objects = labelled_objects(len(placements), lambda frame: read_labels(folder, frame, shape))
-    pieces = [placement.piece for placement in placements if placement.piece >= 0]
+    # Frames in which the camera only turns have no positions, so objects have no poses there.
+    pieces = [
+        placement.piece
+        for placement in placements
+        if parts[placement.part].result.has_position[placement.number]
+    ]
     largest = int(np.bincount(pieces).argmax()) if pieces else 0
     return tuple(_with_poses(obj, parts, placements, ids, largest) for obj in objects)
 
