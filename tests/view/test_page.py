@@ -267,22 +267,28 @@ def test_clicks_do_not_hit_points_that_are_not_seen(opened, tmp_path):
     change(page, "with_frame", False)
     wait_until_drawn(page)
     ray = page.frame.rays(np.array([15]), np.array([16]))[0]
-    page.marks.pick(np.zeros(3), ray, page.points)
-    assert page.marks.pixel is None
+    picked = []
+
+    def pick():
+        page.marks.pick(np.zeros(3), ray, page.points)
+        picked.append(page.marks.pixel)
+
+    page.thread.put(pick)  # only this thread may draw
+    wait_for(lambda: picked == [None])
     change(page, "with_frame", True)
-    page.marks.pick(np.zeros(3), ray, page.points)
-    assert page.marks.pixel == (15, 16)
+    page.thread.put(pick)
+    wait_for(lambda: picked == [None, (15, 16)])
 
 
 def test_a_pixel_outside_the_frame_is_stated(opened, tmp_path):
     write_reconstruction(tmp_path / "r")
     page = opened(tmp_path / "r")
     wait_until_drawn(page)
-    page.mark(15, 400)
-    assert "column 400, row 15 is outside" in page.controls.reading.content.lower()
+    page.thread.put(lambda: page.mark(15, 400))
+    wait_for(lambda: "column 400, row 15 is outside" in page.controls.reading.content.lower())
     assert "the frame has 45 × 61" in page.controls.reading.content
-    page.mark(15, 16)
-    assert "column 16, row 15" in page.controls.reading.content
+    page.thread.put(lambda: page.mark(15, 16))
+    wait_for(lambda: "column 16, row 15" in page.controls.reading.content)
 
 
 def test_two_clicks_measure(opened, tmp_path):
