@@ -53,11 +53,8 @@ def mask_moving_pixels(
     def choose(path: CameraPath) -> CameraPath:
         """Return the first path if the labels mend it, and a new path does not fit."""
         is_whole = path.position_count >= min_positions
-        if (is_whole and agrees_with_images(frames, path)) or not agrees_with_images(
-            frames, first.path
-        ):
-            return path
-        return first.path
+        is_better = is_whole and agrees_with_images(frames, path)
+        return path if is_better or not agrees_with_images(frames, first.path) else first.path
 
     # The first path has no lens and no readout, so the second search looks for neither.
     frames.camera = replace(reading.camera.used_camera.pinhole(), readout=0.0)
@@ -65,10 +62,9 @@ def mask_moving_pixels(
     result = solve_path(job, reading, SequenceLabels.of_frames(frames), choose)
     frames.camera = replace(frames.camera, readout=camera.readout)
     shares = np.array([(frames.labels(k) > 0).mean() for k in range(frames.count)])
-    is_mended = 0 < shares.mean() <= OBJECTS.max_masked_share and agrees_with_images(
-        frames, result.path
-    )
-    if not is_mended or result.path.position_count < min_positions:
+    is_whole = result.path.position_count >= min_positions
+    is_masked = 0 < shares.mean() <= OBJECTS.max_masked_share
+    if not (is_masked and is_whole and agrees_with_images(frames, result.path)):
         frames.delete_labels()
         frames.camera = camera
         return None
