@@ -13,7 +13,11 @@ from tisfm.grade import Grade, GradeSummary
 from tisfm.metrics import absolute_errors
 from tisfm.reconstruction import pipeline
 from tisfm.reconstruction.calibration.bundle_residuals import COMMON, BundleState, linearise
-from tisfm.reconstruction.calibration.camera_adjustment import adjust_camera, measure_cost
+from tisfm.reconstruction.calibration.camera_adjustment import (
+    adjust_camera,
+    measure_cost,
+    solve_equations,
+)
 from tisfm.reconstruction.calibration.normal_equations import reduce_equations
 from tisfm.reconstruction.calibration.source_camera import add_radial
 from tisfm.reconstruction.calibration.track_bundle import TrackBundle
@@ -501,3 +505,22 @@ def test_hidden_zoom_is_a_doubt_if_the_focal_length_is_a_guess(monkeypatch, devi
     solver = PathSolver(tracks=SimpleNamespace(shape=SHAPE), camera=path.camera, calibrate="focal")
     revised = camera_revision.revise_path(path, solver, np.arange(8), may_distort=True)
     assert bool(revised.doubt) == bool(deviation) and bool(revised.objection) != bool(deviation)
+
+
+def test_equations_of_unknowns_with_very_different_units_are_solved():
+    random = np.random.default_rng(0)
+    units = 10.0 ** np.arange(-6, 6)
+    root = random.normal(size=(12, 12))
+    matrix, true = np.outer(units, units) * (root @ root.T + np.eye(12)), 1 / units
+    assert solve_equations(matrix, matrix @ true) == pytest.approx(true, rel=1e-8)
+
+
+@pytest.mark.parametrize("last", [0.0, 1.0])
+def test_singular_equations_have_the_smallest_solution(last):
+    """The last unknown has no effect, or the same as the first."""
+    matrix = np.eye(3)
+    matrix[2] = matrix[:, 2] = last * matrix[0]
+    matrix[2, 2] = last
+    expected = [0.5, 2.0, 0.5] if last == 1 else [1.0, 2.0, 0.0]
+    vector = np.array([1.0, 2.0, last])
+    assert solve_equations(matrix, vector) == pytest.approx(expected, abs=1e-6)

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from tisfm.reconstruction.calibration.bundle_residuals import (
     COMMON,
@@ -105,6 +106,24 @@ def adjust_camera(
     )
 
 
+def solve_equations(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Return the solution, (K,), of normal equations, (K, K), whose unknowns have any units.
+
+    The factors of Cholesky take a fraction of the time of a singular value decomposition, which is
+    only needed where the matrix is singular.
+    """
+    diagonal = np.diag(matrix)
+    if (diagonal > 0).all():
+        unit = 1 / np.sqrt(diagonal)
+        try:
+            factors = cho_factor(matrix * np.outer(unit, unit), lower=True, check_finite=False)
+        except LinAlgError:
+            pass
+        else:
+            return np.asarray(unit * cho_solve(factors, unit * vector, check_finite=False))
+    return np.asarray(np.linalg.lstsq(matrix, vector, rcond=None)[0])
+
+
 def _find_variances(matrix: np.ndarray) -> np.ndarray:
     """Return the diagonal of the inverse of normal equations; infinite if there is no inverse."""
     if not np.isfinite(matrix).all():
@@ -146,7 +165,7 @@ def _minimise(
         if not np.isfinite(reduced.matrix).all():
             break
         step = np.zeros(len(is_free))
-        step[is_free] = -np.linalg.lstsq(reduced.matrix, reduced.gradient, rcond=None)[0]
+        step[is_free] = -solve_equations(reduced.matrix, reduced.gradient)
         candidate = state.moved(step, reduced.point_step(step[is_free]))
         new_linear = linearise(bundle, candidate)
         new_cost = measure_cost(bundle, candidate, new_linear, scale, deviation)
