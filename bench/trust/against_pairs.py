@@ -1,26 +1,34 @@
 """``python -m bench.trust.against_pairs``: paths of real sequences without true poses.
 
-Each path is compared with pairs of its frames, interpreted alone with the same camera. The turn of
-a path should be the product of the turns of the pairs, and its depth should have the order that
-the depth of a pair has. The tables are written to bench/results.
+Each path is compared with pairs of its frames, interpreted alone with the same camera: the rotation
+of a path should be the product of the rotations of the pairs, and its depth should have the order
+of a pair's depth. The tables are written to bench/results.
 """
 
 import argparse
 import sys
-import time
 import warnings
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
 import tisfm
-from bench.shared.command import command_text, options_parser, progress
-from bench.shared.results import RESULTS, Table, cell, machine, markdown_page, write_results
+from bench.shared.command import choose, command_text, options_parser, progress
+from bench.shared.results import (
+    RESULTS,
+    Table,
+    cell,
+    machine,
+    markdown_page,
+    missing_sections,
+    write_results,
+)
 from bench.shared.sequences import data_folder
 from bench.trust.cases import Clip
 from bench.trust.judge import is_green, rotation_angle
@@ -29,19 +37,27 @@ from tisfm import runtime
 from tisfm.rigid import pose_matrix
 from tisfm.settings import Motion
 
-USABLE = ("converged", "uncertain")  # statuses of pairs with which a path is compared
-MIN_PIXELS = 1000  # pixels whose depth is compared
-NEAREST = 0.8  # share of the pixels whose depth is compared, the nearest; others are far
+# Statuses of pairs whose rotation is compared, and whose depth is.
+WITH_ROTATION = ("converged", "uncertain", "little_parallax", "pure_rotation")
+WITH_DEPTH = ("converged", "uncertain")
+MIN_PIXELS = 1000  # fewest pixels for a rank correlation
+NEAREST = 0.8  # share of the pixels whose depth is compared: the nearest, by the path
+MIN_STEP = 1e-3  # of the median step: shorter ones have no direction
 NOTES = (
-    "Frames with a pose; pieces with positions; focal length that was found or stated, px. "
-    "Forward: median angle between the motion and the optical axis. Turn: of the largest piece "
-    "from its first to its last frame, and how far the product of the turns of its pairs is from "
-    "it. Pairs with the status `converged` or `uncertain` are used; others turn as the path does. "
-    "Rank: rank correlation of the inverse depth of a keyframe with that of its pair, median and "
-    "lowest quarter over the used pairs; the nearest 80 % of the pixels, without labelled and "
-    "masked ones. Rank, laser: with the inverse depth of a laser, all of its points.",
-    "Green: share of the frames with depth, the keyframes, whose status is `converged` "
-    "and whose grade is good or fair. Expected: median of the expected relative error of depth.",
+    "Posed: frames with a pose. Pieces: those with positions.",
+    "Focal: that of the frames as they were reconstructed, px; its deviation if it was found. Only "
+    "the focal length is stated, the centre is that of the frame.",
+    "Forward: median angle between the motion and the optical axis.",
+    "Rotation: of the largest piece, from its first to its last frame. Difference: angle between "
+    "it and the product of the rotations of the pairs. For a pair without a usable rotation, that "
+    "of the path is taken.",
+    "Rank: rank correlation of the inverse depth of a keyframe with that of its pair, median over "
+    "the ranked pairs; lower: lower quartile. The nearest 80 % of the pixels by the path count, "
+    "without labelled and masked ones.",
+    "Laser: the same with the inverse depth of a laser, at all of its points where the frame has "
+    "depth; moving cars are points, too.",
+    "Green: share of the frames with depth, which are keyframes, whose status is `converged` and "
+    "whose grade is good or fair. Expected: median of their expected relative errors of depth.",
 )
 
 
@@ -52,28 +68,30 @@ class Recording:
     name: str
     source: str  # in the folder of sequences
     focal: float | None = None  # px, stated; None if the program has to find it
-    gap: int = 1  # frames from the first to the second frame of a pair
-    options: tuple[tuple[str, Any], ...] = ()  # of `tisfm.reconstruct`
+    gap: int = 1  # posed frames from the first to the second frame of a pair
+    options: dict[str, Any] = field(default_factory=dict)  # of `tisfm.reconstruct`
     motion: Motion = "camera"
+    laser: Clip | None = None  # the frames with the depth of a laser
 
 
 MOTORWAY = "clips/carnd_solidWhiteRight.mp4"
-CARS, CARS_FOCAL = "kitti_cars/images", 721.5
+CARS_FOCAL = 721.5  # px
 DAVIS = (
     "blackswan", "camel", "car-roundabout", "car-shadow", "libby", "motocross-jump",
 )  # fmt: skip
 RECORDINGS = (
-    Recording(name="motorway, 0–80", source=MOTORWAY, gap=8, options=(("stop", 81),)),
+    Recording(name="motorway, 0–80", source=MOTORWAY, gap=8, options={"stop": 81}),
     Recording(
-        name="motorway, 120–160", source=MOTORWAY, gap=8, options=(("start", 120), ("stop", 161))
+        name="motorway, 120–160", source=MOTORWAY, gap=8, options={"start": 120, "stop": 161}
     ),
     Recording(name="motorway, whole", source=MOTORWAY, gap=8),
     *(
         Recording(
             name=f"kitti_cars, {size or 'full size'}, focal {'stated' if focal else 'unknown'}",
-            source=CARS,
+            source="kitti_cars/images",
             focal=focal,
-            options=(("size", size),),
+            options={"size": size},
+            laser=Clip(folder="kitti_cars", count=24),
         )
         for size in (None, 800, 640)
         for focal in (CARS_FOCAL, None)
@@ -89,171 +107,195 @@ RECORDINGS = (
 
 
 @dataclass(frozen=True, kw_only=True)
+class PairAgreement:
+    """How far a path is from pairs of its frames; None for what was not comparable."""
+
+    rotation: float | None = None  # degrees, of the path, from its first to its last frame
+    difference: float | None = None  # degrees, from the product of the rotations of the pairs
+    usable_pairs: int = 0  # pairs whose rotation was taken
+    pairs: int = 0
+    rank: float | None = None  # of depth, median
+    low_rank: float | None = None  # lower quartile
+    ranked_pairs: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """A path, and how far it is from its pairs."""
+    """A result without true poses, beside pairs of its frames."""
 
     name: str
     frames: int
     posed: int
     pieces: int
     focal: float  # px, of the frames as they were reconstructed
-    focal_deviation: float | None  # px; None if stated or unknown
+    focal_deviation: float | None  # px; None if it was stated or guessed
     forward: float | None  # degrees: median angle between the motion and the optical axis
-    turn: float | None  # degrees, from the first to the last frame of the largest piece
-    turn_error: float | None  # degrees, from the product of the turns of the pairs
-    pairs: float | None  # share of the pairs that are used
-    rank: float | None  # of depth with pairs, median
-    low_rank: float | None  # lower quartile
-    laser_rank: float | None  # of depth with a laser's, median
+    agreement: PairAgreement
+    laser_rank: float | None  # of depth, with that of a laser, median
     with_depth: int  # frames with depth: keyframes
     green: float  # share of these frames
-    expected: float | None  # median expected relative error of depth
-    seconds: float
-    message: str  # of the first frame that is not green
+    expected: float | None  # median of their expected relative errors of depth
+    message: str  # the first of frames with depth that are not green, or of frames without depth
 
 
 def compare(recording: Recording, data: Path) -> Comparison:
     """Reconstruct a recording, and compare its largest piece with its pairs."""
     camera = None if recording.focal is None else tisfm.Camera(focal=recording.focal)
-    settings = tisfm.Settings.preset("fast", motion=recording.motion)
-    begin = time.perf_counter()
     result = tisfm.reconstruct(
         data / recording.source,
         camera=camera,
-        settings=settings,
+        settings=tisfm.Settings.preset("fast", motion=recording.motion),
         depth_of="keyframes",
-        **dict(recording.options),
+        **recording.options,
     )
-    seconds = time.perf_counter() - begin
     members = np.flatnonzero((result.piece == result.largest_piece) & result.has_position)
-    turn = turn_error = pairs = None
-    angles: list[float] = []
-    ranks: list[float] = []
-    if len(members) > recording.gap:
-        members = members[:: recording.gap]
-        turn, turn_error, pairs, ranks = compare_with_pairs(result, members)
-        steps = np.diff(result.poses[members, :3, 3], axis=0)
-        along = np.einsum("nji,nj->ni", result.poses[members[:-1], :3, :3], steps)
-        angles = np.degrees(np.arctan2(np.linalg.norm(along[:, :2], axis=1), along[:, 2])).tolist()
     with_depth = np.flatnonzero(np.isfinite(result.depth_error))
-    green = [is_green(result, int(k)) for k in with_depth]
+    are_green = [is_green(result, int(k)) for k in with_depth]
     expected = result.depth_error[with_depth]
-    deviation = result.calibration.focal_std
-    flagged = [k for k, good in zip(with_depth, green, strict=True) if not good]
-    messages = [result.status[k].message for k in (flagged if green else range(len(result)))]
+    flagged = [int(k) for k, good in zip(with_depth, are_green, strict=True) if not good]
+    messages = [result.status[k].message for k in (flagged if are_green else range(len(result)))]
+    deviation = result.camera.focal * result.calibration.relative_focal_std
     return Comparison(
         name=recording.name,
         frames=len(result),
         posed=int((result.piece >= 0).sum()),
         pieces=len(set(result.piece[result.has_position])),
         focal=result.camera.focal,
-        focal_deviation=deviation if deviation and np.isfinite(deviation) else None,
-        forward=float(np.median(angles)) if angles else None,
-        turn=turn,
-        turn_error=turn_error,
-        pairs=pairs,
-        rank=float(np.median(ranks)) if ranks else None,
-        laser_rank=laser_rank(result, recording, data),
-        low_rank=float(np.percentile(ranks, 25)) if ranks else None,
-        with_depth=len(green),
-        green=float(np.mean(green)) if green else 0.0,
+        focal_deviation=float(deviation) if 0 < deviation < np.inf else None,
+        forward=angle_to_axis(result.poses[members[:: recording.gap]]),
+        agreement=compare_with_pairs(result, members, recording.gap),
+        laser_rank=laser_rank(result, recording.laser, data),
+        with_depth=len(with_depth),
+        green=float(np.mean(are_green)) if are_green else 0.0,
         expected=float(np.median(expected)) if expected.size else None,
-        seconds=seconds,
         message=next(filter(None, messages), ""),
     )
 
 
-def compare_with_pairs(
-    result: tisfm.Reconstruction, members: np.ndarray
-) -> tuple[float, float, float, list[float]]:
-    """Return the turn of a path, its distance from that of pairs, used pairs, and ranks of depth.
+def angle_to_axis(poses: NDArray) -> float | None:
+    """Return the median angle between the motion and the optical axis, degrees."""
+    steps = np.einsum("nji,nj->ni", poses[:-1, :3, :3], np.diff(poses[:, :3, 3], axis=0))
+    lengths = np.linalg.norm(steps, axis=1)
+    if not lengths.any():
+        return None
+    steps = steps[lengths > MIN_STEP * np.median(lengths)]
+    sideways = np.linalg.norm(steps[:, :2], axis=1)
+    return float(np.degrees(np.median(np.arctan2(sideways, steps[:, 2]))))
 
-    Turns are in degrees; used pairs are a share. Other pairs turn as the path does.
-    """
-    settings = tisfm.Settings.preset("fast", motion="camera")
-    chain = np.eye(3)  # from the axes of the first camera to those of the current one
-    ranks, turned, first_depths = [], 0, set(np.flatnonzero(np.isfinite(result.depth_error)))
-    for first, second in pairwise(members):
-        frames = [np.asarray(result.picture(int(k))) for k in (first, second)]
-        pair = tisfm.interpret(*frames, camera=result.camera, settings=settings)
-        turn = np.linalg.inv(result.poses[second]) @ result.poses[first]
-        is_usable = pair.status in USABLE
-        if is_usable and pair.motions is not None:
-            turn = pose_matrix(pair.motions[0])
-        turned += is_usable
-        chain = turn[:3, :3] @ chain
-        if first in first_depths and is_usable:
-            rank = rank_of(result, int(first), pair)
-            ranks += [] if rank is None else [rank]
-    start, end = (result.poses[k, :3, :3] for k in (members[0], members[-1]))
-    path_turn = end.T @ start
-    return (
-        rotation_angle(path_turn),
-        rotation_angle(path_turn @ chain.T),
-        turned / (len(members) - 1),
-        ranks,
+
+def compare_with_pairs(
+    result: tisfm.Reconstruction,
+    members: NDArray,  # (N,): frames of a piece
+    gap: int,  # members from the first to the second frame of a pair
+) -> PairAgreement:
+    """Compare the rotation of a piece and the depth of its keyframes with pairs of its frames."""
+    ends = [int(k) for k in members[::gap]]
+    if len(members) and ends[-1] != members[-1]:
+        ends.append(int(members[-1]))
+    if len(ends) < 2:
+        return PairAgreement()
+    product, usable = np.eye(3), 0
+    for first, second in pairwise(ends):
+        pair = interpret(result, first, second)
+        motion = np.linalg.inv(result.poses[second]) @ result.poses[first]
+        if pair.status in WITH_ROTATION and pair.motions is not None:
+            motion = pose_matrix(pair.motions[0])
+            usable += 1
+        product = motion[:3, :3] @ product
+    ranks = []
+    for first, second in zip(members[:-gap], members[gap:], strict=True):
+        if np.isfinite(result.depth_error[first]):
+            pair = interpret(result, int(first), int(second))
+            rank = rank_of_pair(result, int(first), pair)
+            if rank is not None:
+                ranks.append(rank)
+    rotation = result.poses[ends[-1], :3, :3].T @ result.poses[ends[0], :3, :3]
+    return PairAgreement(
+        rotation=rotation_angle(rotation),
+        difference=rotation_angle(rotation @ product.T) if usable else None,
+        usable_pairs=usable,
+        pairs=len(ends) - 1,
+        rank=float(np.median(ranks)) if ranks else None,
+        low_rank=float(np.percentile(ranks, 25)) if ranks else None,
+        ranked_pairs=len(ranks),
     )
 
 
-def rank_of(result: tisfm.Reconstruction, frame: int, pair: tisfm.Interpretation) -> float | None:
-    """Return the rank correlation of the inverse depths of a frame; None for too few pixels."""
-    ours, other = result.inverse_depth(frame), pair.inverse_depth
-    if pair.inverse_depth_std is None:
+def interpret(result: tisfm.Reconstruction, first: int, second: int) -> tisfm.Interpretation:
+    """Interpret two frames of a result alone, with its camera and without its fixed pixels."""
+    frames = [np.asarray(result.picture(k)) for k in (first, second)]
+    settings = tisfm.Settings.preset("fast", motion="camera")
+    return tisfm.interpret(*frames, camera=result.camera, settings=settings, mask=result.mask)
+
+
+def rank_of_pair(
+    result: tisfm.Reconstruction, frame: int, pair: tisfm.Interpretation
+) -> float | None:
+    """Return the rank correlation of the inverse depth of a frame and of a pair, or None."""
+    if pair.status not in WITH_DEPTH or pair.inverse_depth_std is None:
         return None
     known = np.isfinite(result.inverse_depth_std(frame)) & np.isfinite(pair.inverse_depth_std)
-    if result.objects:
-        known &= result.labels(frame) == 0
+    known &= result.labels(frame) == 0
     if known.sum() < MIN_PIXELS:
         return None
-    ours, other = ours[known], other[known]
-    near = ours >= np.quantile(ours, 1 - NEAREST)
-    return float(spearmanr(ours[near], other[near]).statistic)
+    ours, other = result.inverse_depth(frame)[known], pair.inverse_depth[known]
+    is_near = ours >= np.quantile(ours, 1 - NEAREST)
+    return rank_correlation(ours[is_near], other[is_near])
 
 
-def laser_rank(result: tisfm.Reconstruction, recording: Recording, data: Path) -> float | None:
-    """Return the median rank correlation with the depth of a laser; None without one."""
-    if recording.source != CARS:
+def laser_rank(result: tisfm.Reconstruction, clip: Clip | None, data: Path) -> float | None:
+    """Return the median rank correlation with the inverse depth of a laser.
+
+    None without a laser, and where a lens or a zoom was removed: its points lie elsewhere then.
+    """
+    if clip is None or result.zoom is not None or result.calibration.radial:
         return None
-    loaded = load_clip(Clip(folder=str(Path(CARS).parent), count=len(result)), data)
-    ranks = []
-    for frame in np.flatnonzero(np.isfinite(result.depth_error)):
-        laser = loaded.depth(int(frame))
+    loaded, ranks = load_clip(clip, data), []
+    for frame in map(int, np.flatnonzero(np.isfinite(result.depth_error))):
+        laser = loaded.depth(frame)
         if laser is None:
             continue
-        seen = np.argwhere(np.isfinite(laser) & (laser > 0))
-        share = np.divide(result.shape, laser.shape)
-        rows, columns = ((seen + 0.5) * share).astype(int).T
-        inverse_depth = result.inverse_depth(int(frame))[rows, columns]
-        is_stated = np.isfinite(result.inverse_depth_std(int(frame))[rows, columns])
-        ranks.append(
-            spearmanr(inverse_depth[is_stated], 1 / laser[tuple(seen.T)][is_stated]).statistic
-        )
+        points = np.argwhere(np.isfinite(laser) & (laser > 0))
+        rows, columns = ((points + 0.5) * np.divide(result.shape, laser.shape)).astype(int).T
+        is_stated = np.isfinite(result.inverse_depth_std(frame)[rows, columns])
+        ours = result.inverse_depth(frame)[rows, columns][is_stated]
+        rank = rank_correlation(ours, 1 / laser[tuple(points.T)][is_stated])
+        if rank is not None:
+            ranks.append(rank)
     return float(np.median(ranks)) if ranks else None
+
+
+def rank_correlation(ours: NDArray, other: NDArray) -> float | None:
+    """Return Spearman's rank correlation; None for few or equal values."""
+    if ours.size < MIN_PIXELS or not np.ptp(ours) or not np.ptp(other):
+        return None
+    return float(spearmanr(ours, other).statistic)
 
 
 def table(comparisons: Sequence[Comparison]) -> Table:
     head = [
-        "sequence", "frames", "posed", "pieces", "focal, px", "forward, °", "turn, °",
-        "from pairs, °", "used pairs, %", "rank", "lowest quarter",
-        "rank, laser", "green, %", "expected", "s",
+        "sequence", "frames", "posed", "pieces", "focal, px", "forward, °", "rotation, °",
+        "difference, °", "usable pairs", "rank", "lower", "ranked pairs", "laser", "green, %",
+        "expected",
     ]  # fmt: skip
-    rows = [
-        [
-            c.name, str(c.frames), str(c.posed), str(c.pieces),
-            f"{c.focal:.0f}" + (f" ± {c.focal_deviation:.0f}" if c.focal_deviation else ""),
-            cell(c.forward, ".1f"), cell(c.turn, ".2f"), cell(c.turn_error, ".2f"),
-            cell(None if c.pairs is None else 100 * c.pairs, ".0f"),
-            cell(c.rank, ".2f"), cell(c.low_rank, ".2f"),
-            cell(c.laser_rank, ".2f"), f"{100 * c.green:.0f}",
-            cell(c.expected, ".3f"), f"{c.seconds:.0f}",
-        ]
-        for c in comparisons
-    ]  # fmt: skip
+    rows = []
+    for found in comparisons:
+        pairs, deviation = found.agreement, found.focal_deviation
+        rows.append([
+            found.name, str(found.frames), str(found.posed), str(found.pieces),
+            f"{found.focal:.0f}" + (f" ± {deviation:.0f}" if deviation else ""),
+            cell(found.forward, ".1f"), cell(pairs.rotation, ".2f"), cell(pairs.difference, ".2f"),
+            f"{pairs.usable_pairs} of {pairs.pairs}", cell(pairs.rank, ".2f"),
+            cell(pairs.low_rank, ".2f"), str(pairs.ranked_pairs), cell(found.laser_rank, ".2f"),
+            f"{100 * found.green:.0f}", cell(found.expected, ".3f"),
+        ])  # fmt: skip
     return Table(head, rows)
 
 
-def page(conditions: dict[str, Any], comparisons: Sequence[Comparison]) -> str:
-    messages = [f"{c.name}: {c.message}" for c in comparisons if c.message]
+def page(
+    conditions: dict[str, Any], comparisons: Sequence[Comparison], missing: dict[str, str]
+) -> str:
+    messages = [f"{found.name}: {found.message}" for found in comparisons if found.message]
     return markdown_page(
         "# Paths against pairs",
         conditions,
@@ -261,14 +303,8 @@ def page(conditions: dict[str, Any], comparisons: Sequence[Comparison]) -> str:
         NOTES,
         "## Messages of frames that are not green",
         messages or "None.",
+        *missing_sections(missing, {}),
     )
-
-
-def choose(words: Sequence[str] | None) -> Iterator[Recording]:
-    """Yield the sequences that have one of the words in the name; all without words."""
-    for sequence in RECORDINGS:
-        if not words or any(word in sequence.name for word in words):
-            yield sequence
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -281,13 +317,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Return 0, or 2 if nothing could be run."""
     options = parse(arguments)
     data = data_folder(options.data)
-    chosen = [] if data is None else list(choose(options.sequences))
-    chosen = [sequence for sequence in chosen if data and (data / sequence.source).exists()]
-    if data is None or not chosen:
-        print(
-            "bench.trust.against_pairs: no such sequences; name a folder with --data",
-            file=sys.stderr,
-        )
+    if data is None:
+        print("bench.trust.against_pairs: name a folder of sequences with --data", file=sys.stderr)
+        return 2
+    recordings = choose(RECORDINGS, options.sequences, kind="sequence", name=lambda r: r.name)
+    present = [recording for recording in recordings if (data / recording.source).exists()]
+    missing = {r.name: f"no {r.source} in the folder" for r in recordings if r not in present}
+    if not present:
+        print(f"bench.trust.against_pairs: {data} has none of these sequences", file=sys.stderr)
         return 2
     warnings.simplefilter("ignore")
     runtime.start(threads=options.threads)
@@ -295,14 +332,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "command": command_text("trust.against_pairs", options, ("threads", "sequences")),
         **machine(),
     }
+    path = RESULTS / (options.output or "against_pairs")
     comparisons: list[Comparison] = []
-    with progress(len(chosen)) as step:
-        for sequence in chosen:
-            step(sequence.name)
-            comparisons.append(compare(sequence, data))
-            record = [vars(c) for c in comparisons]
-            path = RESULTS / (options.output or "against_pairs")
-            write_results(path, page(conditions, comparisons), record)
+    with progress(len(present)) as step:
+        for recording in present:
+            step(recording.name)
+            comparisons.append(compare(recording, data))
+            record = {**conditions, "found": [asdict(found) for found in comparisons]}
+            write_results(path, page(conditions, comparisons, missing), record)
     return 0
 
 

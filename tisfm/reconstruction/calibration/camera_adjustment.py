@@ -107,20 +107,23 @@ def adjust_camera(
 
 
 def solve_equations(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Return the solution, (K,), of normal equations, (K, K), whose unknowns have any units.
+    """Return the solution, (K,), of normal equations with finite numbers.
 
-    The factors of Cholesky take a fraction of the time of a singular value decomposition, which is
-    only needed where the matrix is singular.
+    A Cholesky factorisation takes a fraction of the time of the singular value decomposition of
+    `numpy.linalg.lstsq`. The matrix is scaled to a unit diagonal first, which makes the result
+    independent of the units of the unknowns. Where the matrix is singular, `numpy.linalg.lstsq`
+    gives the result.
     """
     diagonal = np.diag(matrix)
     if (diagonal > 0).all():
         unit = 1 / np.sqrt(diagonal)
         try:
-            factors = cho_factor(matrix * np.outer(unit, unit), lower=True, check_finite=False)
+            factors = cho_factor(unit[:, None] * matrix * unit, lower=True, check_finite=False)
         except LinAlgError:
             pass
         else:
-            return np.asarray(unit * cho_solve(factors, unit * vector, check_finite=False))
+            if np.diag(factors[0]).min() > CALIBRATION.min_pivot:
+                return np.asarray(unit * cho_solve(factors, unit * vector, check_finite=False))
     return np.asarray(np.linalg.lstsq(matrix, vector, rcond=None)[0])
 
 
@@ -162,7 +165,7 @@ def _minimise(
         deviation = linear.weighting_deviation
         cost = measure_cost(bundle, state, linear, scale, deviation)
         reduced = reduce_equations(bundle, state, linear, is_free, scale, damping)
-        if not np.isfinite(reduced.matrix).all():
+        if not (np.isfinite(reduced.matrix).all() and np.isfinite(reduced.gradient).all()):
             break
         step = np.zeros(len(is_free))
         step[is_free] = -solve_equations(reduced.matrix, reduced.gradient)

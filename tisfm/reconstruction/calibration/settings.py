@@ -40,6 +40,9 @@ class CalibrationSettings:
     bundle_damping: float = 1e-3  # first damping of Levenberg and Marquardt
     bundle_damping_factor: float = 10.0  # of the damping, from one step to the next
     min_bundle_deviation: float = 0.02  # px: smallest standard deviation of a coordinate
+    # smallest diagonal of the Cholesky factor of equations with a unit diagonal; equations with
+    # less are singular but for rounding
+    min_pivot: float = 1e-6
     # share of the trace that is added to the diagonal of the equations of a point
     min_point_stiffness: float = 1e-12
     # multiplications of a product of sparse matrices: with more, dense parts are multiplied
