@@ -49,8 +49,8 @@ NOTES = (
     "the focal length is stated, the centre is that of the frame.",
     "Forward: median angle between the motion and the optical axis.",
     "Rotation: of the largest piece, from its first to its last frame. Difference: angle between "
-    "it and the product of the rotations of the pairs. For a pair without a usable rotation, that "
-    "of the path is taken.",
+    "it and the product of the rotations of the pairs. A pair without a usable rotation counts with "
+    "the rotation of the path.",
     "Rank: rank correlation of the inverse depth of a keyframe with that of its pair, median over "
     "the ranked pairs; lower: lower quartile. The nearest 80 % of the pixels by the path count, "
     "without labelled and masked ones.",
@@ -108,7 +108,7 @@ RECORDINGS = (
 
 @dataclass(frozen=True, kw_only=True)
 class PairAgreement:
-    """How far a path is from pairs of its frames; None for what was not comparable."""
+    """Differences between a path and pairs of its frames; None where no pair is usable."""
 
     rotation: float | None = None  # degrees, of the path, from its first to its last frame
     difference: float | None = None  # degrees, from the product of the rotations of the pairs
