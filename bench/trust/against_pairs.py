@@ -49,8 +49,8 @@ NOTES = (
     "the focal length is stated, the centre is that of the frame.",
     "Forward: median angle between the motion and the optical axis.",
     "Rotation: of the largest piece, from its first to its last frame. Difference: angle between "
-    "it and the product of the rotations of the pairs. A pair without a usable rotation counts with "
-    "the rotation of the path.",
+    "it and the product of the rotations of the pairs. A pair without a usable rotation counts "
+    "with the rotation of the path.",
     "Rank: rank correlation of the inverse depth of a keyframe with that of its pair, median over "
     "the ranked pairs; lower: lower quartile. The nearest 80 % of the pixels by the path count, "
     "without labelled and masked ones.",
