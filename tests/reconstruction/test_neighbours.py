@@ -77,3 +77,23 @@ def test_no_more_than_asked_for():
     for most in (1, 6):
         chosen = choose_neighbours(poses, 40, 1.0, CAMERA, SHAPE, max_count=most)
         assert len(chosen) == most == len(set(chosen))
+
+
+def drive(count):
+    """Return poses (N, 4, 4) of a camera that moves ahead by 1 a frame."""
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    poses[:, 2, 3] = np.arange(count)
+    return poses
+
+
+def test_on_a_drive_near_points_get_near_frames_and_far_points_far_frames():
+    depth = np.full(SHAPE, 1 / 100.0)
+    depth[160:] = 1 / 8.0
+    apart = np.abs(np.array(choose_neighbours(drive(81), 40, depth, CAMERA, SHAPE)) - 40)
+    # 1.25 of the distance of the road, and of the distance of the far points
+    assert apart.min() <= 2 and 8 < apart.max() <= 25
+
+
+def test_points_may_be_nearer_than_their_rough_depth():
+    apart = np.abs(np.array(choose_neighbours(drive(81), 40, 1 / 60.0, CAMERA, SHAPE)) - 40)
+    assert apart.min() <= 0.25 * 60 / 3 + 1  # a third of the depth still looks alike
