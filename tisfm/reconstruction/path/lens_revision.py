@@ -57,7 +57,7 @@ def revise_lens(path: CameraPath, solver: PathSolver, instants: np.ndarray) -> C
     free: tuple[str, ...] = () if is_focal_known else ("focal",)
     base = adjust_largest_piece(path, solver.tracks.shape, free)
     refocused = _solve_with_other_focal(solver, instants) if is_focal_known else None
-    lens = _solve_lens(solver, instants, free)
+    lens = _solve_lens(base, solver, instants, free)
     if lens is not None and not _shows_lens(path, base, refocused, lens, solver):
         lens = None
     if lens is None:
@@ -77,21 +77,32 @@ def revise_lens(path: CameraPath, solver: PathSolver, instants: np.ndarray) -> C
     )
 
 
-def _solve_lens(solver: PathSolver, instants: np.ndarray, free: Sequence[str]) -> _LensPath | None:
-    """Return the path whose tracks fit a distortion k1 best; None if there is none."""
+def _solve_lens(
+    base: AdjustedCamera,  # the camera without distortion, adjusted with the tracks
+    solver: PathSolver,
+    instants: np.ndarray,
+    free: Sequence[str],
+) -> _LensPath | None:
+    """Return the path whose tracks fit a distortion k1 best; None if there is none.
+
+    A strong distortion is only tried if a weak one fits better than none: each try solves the path.
+    """
     corner = float(np.hypot(*solver.camera.center_for(*solver.tracks.shape)))
     unit = (solver.camera.focal / corner) ** 2
-    found = [
-        lens
-        for start in REVISION.lens_starts
-        if (lens := _solve_with(start * unit, solver, instants, free)) is not None
-    ]
-    if not found:
+
+    def solve_best(starts: Sequence[float], best: _LensPath | None = None) -> _LensPath | None:
+        for start in starts:
+            lens = _solve_with(start * unit, solver, instants, free)
+            if best is None or (
+                lens is not None and compare_costs(lens.adjusted, best.adjusted) < 1
+            ):
+                best = lens
+        return best
+
+    best = solve_best(REVISION.weak_lens_starts)
+    if best is None or compare_costs(best.adjusted, base) > REVISION.max_weak_lens_cost:
         return None
-    best = found[0]
-    for other in found[1:]:
-        if compare_costs(other.adjusted, best.adjusted) < 1:
-            best = other
+    best = solve_best(REVISION.strong_lens_starts, best) or best
     for _ in range(REVISION.lens_rounds):
         # the coefficient in units of the focal length that the solver starts with
         radial = best.radial * (solver.camera.focal / best.path.camera.focal) ** 2

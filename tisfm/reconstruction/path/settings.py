@@ -50,9 +50,12 @@ class RevisionSettings:
     # real drive without a zoom have at most 2.0, and streets with 2 % a frame 3.8 to 7.
     min_hidden_gain: float = 3.0
     # lens_revision
-    # displacement at the corner of the frame, as a share of its radius, of the distortions that are
-    # tried first
-    lens_starts: tuple[float, ...] = (-0.25, -0.1, 0.1)
+    # displacements at the corner of the frame, as shares of its radius, of the distortions that are
+    # tried first, and if one of them fits better than none
+    weak_lens_starts: tuple[float, ...] = (-0.1, 0.1)
+    strong_lens_starts: tuple[float, ...] = (-0.25,)
+    # robust cost with a weak distortion over that without: with more, no strong one is tried
+    max_weak_lens_cost: float = 0.95
     lens_rounds: int = 1  # times that the path is solved again with the adjusted distortion
     min_displacement: float = 0.015  # smallest displacement of a distortion that is removed
     min_lens_significance: float = 6.0  # standard deviations of the coefficient
