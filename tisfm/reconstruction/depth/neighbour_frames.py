@@ -26,15 +26,17 @@ def choose_neighbours(
     """Choose frames with good parallax for each part of a keyframe, from both sides.
 
     The value of a frame for a point is s = min(1, p/p₁) min(1, p₂/p) min(1, c₁/c)², where p is the
-    parallax of the point, and c is the logarithm of the ratio of its distances from the two
-    cameras: a surface that comes near looks different. Outside the frame, s is 0.
+    parallax of the point (`DEPTH.full_parallax`, `DEPTH.max_parallax`), and c the logarithm of the
+    ratio of its distances from the two cameras (`DEPTH.max_distance_ratio`): a surface that comes
+    much nearer, or goes away, looks different. Outside the frame, s is 0.
 
-    Frames are chosen greedily: each time the frame that adds most to Σ log(1 + S/s₀) over all
-    points and both sides. S is the sum of s over the chosen frames in which the point moves to one
-    side along its epipolar line. The sides have separate sums, since a surface that is hidden from
-    one side may be visible from the other side. The logarithm makes the relative errors of near and
-    far points count alike: on a drive, the far points that fill most of the frame would otherwise
-    choose frames that show no near point.
+    Frames are chosen greedily: each time the frame that adds most to the weighted mean of log(1 +
+    S/s₀) / log(1 + 1/s₀), with s₀ = `DEPTH.small_value`, over all points and both sides. S is the
+    sum of s over the chosen frames in which the point moves to one side along its epipolar line.
+    The sides have separate sums, since a surface that is hidden from one side may be visible from
+    the other side. The logarithm makes the relative errors of near and far points count alike: on a
+    drive, the far points that fill most of the frame would otherwise choose frames that show no
+    near point.
 
     The rough depth may come from far points around a near surface without texture, such as a road.
     So each point counts twice: at its rough depth, and with less weight at a nearer depth.
@@ -60,7 +62,8 @@ def choose_neighbours(
             same_side = np.einsum("jkp,kp->jp", directions, reference) >= 0
         gains = np.zeros(len(candidates))
         for is_same, side_sums in zip((same_side, ~same_side), sums, strict=True):
-            gains += (_benefit(side_sums + values * is_same) - _benefit(side_sums)) @ weights
+            benefits = _benefit(side_sums + values * is_same) - _benefit(side_sums)
+            gains += (weights * benefits).sum(axis=1)
         gains[chosen] = 0
         best = int(np.argmax(gains))
         if gains[best] < DEPTH.min_gain:
@@ -76,7 +79,7 @@ def choose_neighbours(
 
 
 def _benefit(value: np.ndarray) -> np.ndarray:
-    """Return the benefit of the summed value of frames; 0 for no value, 1 for a full frame."""
+    """Return the benefit of the summed value of frames; 0 for no value, 1 for a value of 1."""
     return np.log1p(value / DEPTH.small_value) / np.log1p(1 / DEPTH.small_value)
 
 

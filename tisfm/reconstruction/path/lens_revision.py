@@ -85,24 +85,24 @@ def _solve_lens(
 ) -> _LensPath | None:
     """Return the path whose tracks fit a distortion k1 best; None if there is none.
 
-    A strong distortion is only tried if a weak one fits better than none: each try solves the path.
+    No strong distortion is tried if the weak ones have paths and fit no better than none: each try
+    solves the path.
     """
     corner = float(np.hypot(*solver.camera.center_for(*solver.tracks.shape)))
     unit = (solver.camera.focal / corner) ** 2
 
-    def solve_best(starts: Sequence[float], best: _LensPath | None = None) -> _LensPath | None:
+    best: _LensPath | None = None
+    for starts in (REVISION.weak_lens_starts, REVISION.strong_lens_starts):
+        if best is not None and (compare_costs(best.adjusted, base) > REVISION.max_weak_lens_cost):
+            return None
         for start in starts:
             lens = _solve_with(start * unit, solver, instants, free)
             if best is None or (
                 lens is not None and compare_costs(lens.adjusted, best.adjusted) < 1
             ):
                 best = lens
-        return best
-
-    best = solve_best(REVISION.weak_lens_starts)
-    if best is None or compare_costs(best.adjusted, base) > REVISION.max_weak_lens_cost:
+    if best is None:
         return None
-    best = solve_best(REVISION.strong_lens_starts, best) or best
     for _ in range(REVISION.lens_rounds):
         # the coefficient in units of the focal length that the solver starts with
         radial = best.radial * (solver.camera.focal / best.path.camera.focal) ** 2
