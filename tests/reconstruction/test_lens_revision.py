@@ -26,9 +26,11 @@ def tried(monkeypatch):
         def solve(radial, *_):
             start = round(radial * (CORNER / 200.0) ** 2, 3)
             starts.append(start)
-            cost = costs.get(start, costs[-0.25])
+            cost = costs[start]
             path = SimpleNamespace(camera=SOLVER.camera)
-            return cost and SimpleNamespace(adjusted=cost, radial=radial, path=path)
+            if cost is None:
+                return None
+            return SimpleNamespace(adjusted=cost, radial=radial, path=path)
 
         monkeypatch.setattr(lens_revision, "_solve_with", solve)
         monkeypatch.setattr(lens_revision, "compare_costs", lambda one, other: one / other)
@@ -44,10 +46,22 @@ def test_no_strong_distortion_is_tried_if_no_weak_one_fits_better(tried):
     assert found is None
 
 
-def test_a_path_that_no_weak_distortion_has_ends_the_search(tried):
-    starts, found = tried({-0.1: None, 0.1: None, -0.25: 0.1})
-    assert starts == list(REVISION.weak_lens_starts)
+def test_a_strong_distortion_is_tried_if_the_weak_ones_have_no_path(tried):
+    starts, found = tried({-0.1: None, 0.1: None, -0.25: 0.5})
+    assert starts[:3] == [*REVISION.weak_lens_starts, *REVISION.strong_lens_starts]
+    assert found == -0.25
+
+
+def test_no_path_ends_the_search(tried):
+    starts, found = tried({-0.1: None, 0.1: None, -0.25: None})
+    assert starts == [-0.1, 0.1, -0.25]
     assert found is None
+
+
+def test_a_strong_distortion_that_fits_worse_is_not_taken(tried):
+    starts, found = tried({-0.1: 0.6, 0.1: 0.9, -0.25: 0.7})
+    assert starts == [-0.1, 0.1, -0.25, -0.1]
+    assert found == -0.1
 
 
 def test_the_best_distortion_is_refined(tried):

@@ -77,24 +77,3 @@ def test_no_more_than_asked_for():
     for most in (1, 6):
         chosen = choose_neighbours(poses, 40, 1.0, CAMERA, SHAPE, max_count=most)
         assert len(chosen) == most == len(set(chosen))
-
-
-def drive(count):
-    """Return poses (N, 4, 4) of a camera that moves ahead by 1 a frame."""
-    poses = np.tile(np.eye(4), (count, 1, 1))
-    poses[:, 2, 3] = np.arange(count)
-    return poses
-
-
-def test_on_a_drive_near_points_get_near_frames_and_far_points_far_frames():
-    depth = np.full(SHAPE, 1 / 100.0)
-    depth[160:] = 1 / 8.0
-    apart = np.abs(np.array(choose_neighbours(drive(81), 40, depth, CAMERA, SHAPE)) - 40)
-    # 1, 2, 8 and 9; by parallax alone 8, 25, 26 and 27: those do not show the road
-    assert apart.min() <= 2 and 4 < apart.max() <= 14
-
-
-def test_points_may_be_nearer_than_their_rough_depth():
-    apart = np.abs(np.array(choose_neighbours(drive(81), 40, 1 / 60.0, CAMERA, SHAPE)) - 40)
-    # 4 to 9; 15 without nearer points, 17 without a limit of the change of distance
-    assert apart.max() <= 12

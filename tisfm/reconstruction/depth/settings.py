@@ -15,14 +15,7 @@ class DepthSettings:
     parallax_grid: tuple[int, int] = (9, 12)  # rows and columns of image points
     full_parallax: float = 0.03  # image widths: more parallax does not improve a neighbour frame
     max_parallax: float = 0.12  # image widths: with more parallax, windows differ too much
-    # The next four numbers were compared on six drives and seven other films, and checked on six
-    # and five others (bench/results/tried.md). Ratio of the distances of a point from two cameras:
-    # with a larger ratio, windows differ too much.
-    max_distance_ratio: float = 1.25
-    small_value: float = 0.1  # value of frames for a point that benefits little
-    nearer_factor: float = 3.0  # by which a point may be nearer than its rough depth
-    nearer_weight: float = 0.1  # weight of this nearer point; the weight of both is 1
-    # weighted mean gain of the points by one more frame; one that becomes visible gains up to 1
+    # mean gain of the grid points by one more frame; a point that becomes visible gains up to 1
     min_gain: float = 0.03
     # window_planes
     window_smoothing: float = 0.6  # px: standard deviation of the Gaussian on images
