@@ -90,10 +90,9 @@ def _solve_lens(
     """
     corner = float(np.hypot(*solver.camera.center_for(*solver.tracks.shape)))
     unit = (solver.camera.focal / corner) ** 2
-
     best: _LensPath | None = None
     for starts in (REVISION.weak_lens_starts, REVISION.strong_lens_starts):
-        if best is not None and (compare_costs(best.adjusted, base) > REVISION.max_weak_lens_cost):
+        if best is not None and compare_costs(best.adjusted, base) > REVISION.max_weak_lens_cost:
             return None
         for start in starts:
             lens = _solve_with(start * unit, solver, instants, free)
