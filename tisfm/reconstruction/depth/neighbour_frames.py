@@ -1,9 +1,13 @@
 """Choice of the neighbour frames that give the depth of a keyframe."""
 
+from collections.abc import Sequence
+
+import cv2
 import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.errors import InputError
+from tisfm.kernels.model import MIN_DIVISOR
 from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.geometry.rays import pinhole_rays
 
@@ -33,38 +37,120 @@ def choose_neighbours(
 
     Raises ValueError if the keyframe has no pose or no known depth.
     """
-    poses = np.asarray(poses, np.float64)
-    if not np.isfinite(poses[key]).all():
-        raise InputError(f"poses[{key}] is not finite: expected a pose of the keyframe")
-    rays, inverse_depths = _grid_points(inverse_depth, camera, shape)
-    has_pose = np.isfinite(poses).all(axis=(1, 2))
-    has_pose[key] = False
-    candidates = np.flatnonzero(has_pose)
-    values, directions = _parallax_values(
-        poses, key, candidates, rays, inverse_depths, camera, shape, (uncropped_shape or shape)[1]
+    candidates = _Candidates(poses, key, inverse_depth, camera, shape, uncropped_shape)
+    weights = np.full(candidates.values.shape[1], 1 / candidates.values.shape[1])
+    return candidates.choose(candidates.values, weights, max_count)
+
+
+def choose_neighbours_of_unmatched(
+    # as for `choose_neighbours`
+    poses: np.ndarray,
+    key: int,
+    inverse_depth: np.ndarray | float,
+    camera: Camera,
+    shape: tuple[int, int],
+    *,
+    first: Sequence[int],  # frames in which the keyframe was matched
+    is_unmatched: np.ndarray,  # (h, w) bool: cells of the keyframe without a match
+    max_count: int = 4,
+    uncropped_shape: tuple[int, int] | None = None,
+) -> list[
+    int
+]:  # numbers of the chosen frames, the best first; empty if the first frames do as well
+    """Choose frames for the part of a keyframe that has no matches in the first frames.
+
+    On a drive, a far background fills most of a frame, and asks for frames so far apart that the
+    road below the camera is no longer in them, or looks different there. The value s of a frame for
+    a point is multiplied by min(1, log q / |log r|)², where r is the ratio of the distances of the
+    point from both cameras, and q is `DEPTH.max_distance_ratio`. Points have the weight of the
+    unmatched cells around them. The benefit of a set of frames is the weighted mean of √S.
+
+    Raises ValueError if the keyframe has no pose or no known depth.
+    """
+    if is_unmatched.mean() < DEPTH.min_unmatched_share:
+        return []
+    candidates = _Candidates(poses, key, inverse_depth, camera, shape, uncropped_shape)
+    share = cv2.resize(
+        is_unmatched.astype(np.float32), DEPTH.parallax_grid[::-1], interpolation=cv2.INTER_AREA
     )
-    chosen: list[int] = []
-    sums = np.zeros((2, rays.shape[1]))
-    reference = None
-    for _ in range(min(max_count, len(candidates))):
-        same_side = np.ones(values.shape, bool)
-        if reference is not None:
-            same_side = np.einsum("jkp,kp->jp", directions, reference) >= 0
-        gains = np.zeros(len(candidates))
-        for is_same, side_sums in zip((same_side, ~same_side), sums, strict=True):
-            gains += (np.sqrt(side_sums + values * is_same) - np.sqrt(side_sums)).mean(axis=1)
-        gains[chosen] = 0
-        best = int(np.argmax(gains))
-        if gains[best] < DEPTH.min_gain:
-            break
-        for is_same, side_sums in zip((same_side, ~same_side), sums, strict=True):
-            side_sums += values[best] * is_same[best]
-        if reference is None:
-            reference = directions[best].copy()
-        has_no_reference = ~reference.any(axis=0)
-        reference[:, has_no_reference] = directions[best][:, has_no_reference]
-        chosen.append(best)
-    return [int(candidates[j]) for j in chosen]
+    weights = (share / share.sum()).ravel().astype(np.float64)
+    values = candidates.values * candidates.likeness()
+    chosen = candidates.choose(values, weights, max_count)
+    benefit, first_benefit = (
+        float(np.sqrt(values[np.isin(candidates.frames, frames)].sum(axis=0)) @ weights)
+        for frames in (chosen, list(first))
+    )
+    return chosen if benefit >= DEPTH.min_benefit_ratio * first_benefit else []
+
+
+class _Candidates:
+    """Frames with poses, and their parallax at a grid of points of the keyframe."""
+
+    def __init__(
+        self,
+        poses: np.ndarray,
+        key: int,
+        inverse_depth: np.ndarray | float,
+        camera: Camera,
+        shape: tuple[int, int],
+        uncropped_shape: tuple[int, int] | None,
+    ) -> None:
+        poses = np.asarray(poses, np.float64)
+        if not np.isfinite(poses[key]).all():
+            raise InputError(f"poses[{key}] is not finite: expected a pose of the keyframe")
+        self._rays, self._inverse_depths = _grid_points(inverse_depth, camera, shape)
+        has_pose = np.isfinite(poses).all(axis=(1, 2))
+        has_pose[key] = False
+        self.frames = np.flatnonzero(has_pose)  # (J,) int64: numbers of the frames
+        self._motions = np.linalg.inv(poses[self.frames]) @ poses[key]
+        # (J, P): how well the frames show the points; and (J, 2, P): the directions of parallax
+        self.values, self._directions = _parallax_values(
+            self._motions,
+            self._rays,
+            self._inverse_depths,
+            camera,
+            shape,
+            (uncropped_shape or shape)[1],
+        )
+
+    def likeness(self) -> np.ndarray:
+        """Return how alike points look in the frames (J, P): 1 at the same distance."""
+        rotations, translations = self._motions[:, :3, :3], self._motions[:, :3, 3:]
+        points = rotations @ self._rays + self._inverse_depths * translations
+        ratio = np.linalg.norm(points, axis=1) / np.linalg.norm(self._rays, axis=0)
+        change = np.abs(np.log(np.maximum(ratio, MIN_DIVISOR)))
+        limit = np.log(DEPTH.max_distance_ratio)
+        return np.asarray(np.minimum(1, limit / np.maximum(change, MIN_DIVISOR)) ** 2)
+
+    def choose(
+        self,
+        values: np.ndarray,  # (J, P)
+        weights: np.ndarray,  # (P,): weights of the points, with the sum 1
+        max_count: int,
+    ) -> list[int]:
+        """Return the numbers of the chosen frames, the best first."""
+        chosen: list[int] = []
+        sums = np.zeros((2, values.shape[1]))
+        reference = None
+        for _ in range(min(max_count, len(values))):
+            same_side = np.ones(values.shape, bool)
+            if reference is not None:
+                same_side = np.einsum("jkp,kp->jp", self._directions, reference) >= 0
+            gains = np.zeros(len(values))
+            for is_same, side_sums in zip((same_side, ~same_side), sums, strict=True):
+                gains += (np.sqrt(side_sums + values * is_same) - np.sqrt(side_sums)) @ weights
+            gains[chosen] = 0
+            best = int(np.argmax(gains))
+            if gains[best] < DEPTH.min_gain:
+                break
+            for is_same, side_sums in zip((same_side, ~same_side), sums, strict=True):
+                side_sums += values[best] * is_same[best]
+            if reference is None:
+                reference = self._directions[best].copy()
+            has_no_reference = ~reference.any(axis=0)
+            reference[:, has_no_reference] = self._directions[best][:, has_no_reference]
+            chosen.append(best)
+        return [int(self.frames[j]) for j in chosen]
 
 
 def _grid_points(
@@ -86,9 +172,7 @@ def _grid_points(
 
 
 def _parallax_values(
-    poses: np.ndarray,
-    key: int,
-    candidates: np.ndarray,  # (J,): numbers of the frames
+    motions: np.ndarray,  # (J, 4, 4): from the keyframe to each frame
     rays: np.ndarray,  # (3, P)
     inverse_depths: np.ndarray,  # (P,)
     camera: Camera,
@@ -101,7 +185,6 @@ def _parallax_values(
     """
     height, width = shape
     cx, cy = camera.center_for(height, width)
-    motions = np.linalg.inv(poses[candidates]) @ poses[key]
     rotated_rays = motions[:, :3, :3] @ rays
     points = rotated_rays + inverse_depths * motions[:, :3, 3:]
     with np.errstate(divide="ignore", invalid="ignore"):

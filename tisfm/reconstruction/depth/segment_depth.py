@@ -9,7 +9,10 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.reconstruction.depth.neighbour_frames import choose_neighbours
+from tisfm.reconstruction.depth.neighbour_frames import (
+    choose_neighbours,
+    choose_neighbours_of_unmatched,
+)
 from tisfm.reconstruction.depth.pose_adjustment import KeyframeWindow, make_keyframe_window
 from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.depth.view_fusion import (
@@ -24,6 +27,7 @@ from tisfm.reconstruction.depth.view_fusion import (
     upsample,
 )
 from tisfm.reconstruction.depth.window_depth import Effort, WindowDepth, by_effort, window_depth
+from tisfm.reconstruction.depth.window_matching import OtherFrames
 from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.triangulation import track_depths
@@ -178,30 +182,56 @@ class PieceDepths:
         if rough_depth is None:
             return None
         nearby = [f for f in poses if abs(f - key) <= DEPTH.max_frame_distance]
-        neighbours = choose_neighbours(
+        choice = (
             np.array([poses[f] for f in nearby]),
             nearby.index(key),
             rough_depth,
             self._camera,
             self._frames.shape,
-            max_count=by_effort(DEPTH.max_neighbours, effort),
-            uncropped_shape=self._uncropped_shape,
         )
-        others = [nearby[k] for k in neighbours]
-        if not others:
+        max_count = by_effort(DEPTH.max_neighbours, effort)
+        first = choose_neighbours(
+            *choice, max_count=max_count, uncropped_shape=self._uncropped_shape
+        )
+        if not first:
             return None
-        motions = np.array([(np.linalg.inv(poses[f]) @ poses[key])[:3] for f in others])
+
+        def choose_further(is_unmatched: np.ndarray) -> tuple[list[int], OtherFrames] | None:
+            chosen = choose_neighbours_of_unmatched(
+                *choice,
+                first=first,
+                is_unmatched=is_unmatched,
+                max_count=max_count,
+                uncropped_shape=self._uncropped_shape,
+            )
+            further = [nearby[k] for k in chosen if k not in first]
+            if not further:
+                return None
+            kept = [n for n, k in enumerate(first) if k in chosen]
+            return kept, self._other_frames(key, further)
+
+        frames = self._other_frames(key, [nearby[k] for k in first])
         return window_depth(
             self._frames.grey(key),
-            [self._frames.grey(f) for f in others],
-            motions,
+            frames.grey,
+            frames.motions,
             self._camera,
             self._settings,
             effort=effort,
             key_mask=self._frames.used_pixels(key),
-            masks=[self._frames.used_pixels(f) for f in others],
+            masks=frames.masks,
             uncropped_shape=self._uncropped_shape,
             searches_outlines=searches_outlines,
+            choose_further=choose_further,
+        )
+
+    def _other_frames(self, key: int, others: Sequence[int]) -> OtherFrames:
+        """Return the grey levels, motions and masks of other frames of a keyframe's window."""
+        poses = self._piece.poses
+        return OtherFrames(
+            grey=[self._frames.grey(f) for f in others],
+            motions=np.array([(np.linalg.inv(poses[f]) @ poses[key])[:3] for f in others]),
+            masks=[self._frames.used_pixels(f) for f in others],
         )
 
     def _rough_depth(self, key: int, previous: int | None) -> np.ndarray | float | None:

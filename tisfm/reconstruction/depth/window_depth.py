@@ -28,12 +28,8 @@ from tisfm.reconstruction.depth.fattened_matches import remove_fattened
 from tisfm.reconstruction.depth.match_deviation import match_weights
 from tisfm.reconstruction.depth.outline_search import search_outlines
 from tisfm.reconstruction.depth.settings import DEPTH, OUTLINES
-from tisfm.reconstruction.depth.window_planes import (
-    Window,
-    WindowPlanes,
-    plane_costs,
-    window_planes,
-)
+from tisfm.reconstruction.depth.window_matching import ChooseFurther, OtherFrames, match_window
+from tisfm.reconstruction.depth.window_planes import Window, WindowPlanes, plane_costs
 from tisfm.settings import Settings
 from tisfm.solver.data_term import DataTerm
 from tisfm.solver.sampling import enlarge, spline_taps
@@ -79,29 +75,40 @@ def window_depth(
     # H and W of the uncropped frames, as for `Window`
     uncropped_shape: tuple[int, int] | None = None,
     searches_outlines: bool = True,  # whether depth beside jumps is searched again
+    # chooses frames for cells without a match; without it, cells are matched once
+    choose_further: ChooseFurther | None = None,
 ) -> WindowDepth | None:  # None if there are too few reliable matches
     """Estimate the inverse depth of every pixel of a keyframe.
 
     Raises ValueError if there is no other frame, a size differs, a motion is not finite or has no
     translation, or the effort is unknown.
     """
-    others = list(others)
     if effort not in get_args(Effort):
         efforts = ", ".join(map(repr, get_args(Effort)))
         raise InputError(f"effort is {effort!r}: expected one of {efforts}")
-    motions = _check_motions(key, others, motions, key_mask, masks)
-    runtime.start()
-    window = Window(
-        key,
-        others,
-        motions,
-        camera,
-        cells=by_effort(DEPTH.max_cells, effort),
-        key_mask=key_mask,
-        masks=masks,
-        uncropped_shape=uncropped_shape,
+    frames = OtherFrames(
+        grey=list(others),
+        motions=np.asarray(motions, np.float64),
+        masks=[None] * len(others) if masks is None else masks,
     )
-    planes = window_planes(window)
+    frames.check(key.shape)
+    if key_mask is not None and np.shape(key_mask) != key.shape:
+        raise InputError(f"key_mask is {np.shape(key_mask)} but key is {key.shape}")
+    runtime.start()
+
+    def make_window(frames: OtherFrames) -> Window:
+        return Window(
+            key,
+            frames.grey,
+            frames.motions,
+            camera,
+            cells=by_effort(DEPTH.max_cells, effort),
+            key_mask=key_mask,
+            masks=frames.masks,
+            uncropped_shape=uncropped_shape,
+        )
+
+    frames, window, planes = match_window(frames, make_window, choose_further)
     anchors = match_weights(window, planes)
     anchors = remove_fattened(window, anchors, second_order(window.level))
     planes = replace(planes, is_reliable=anchors[0] > 0)
@@ -119,7 +126,14 @@ def window_depth(
     inverse_depth = images[0]
     if searches_outlines:
         inverse_depth = search_outlines(
-            key, others, motions, camera, images[0], cell_side=side, key_mask=key_mask, masks=masks
+            key,
+            frames.grey,
+            frames.motions,
+            camera,
+            images[0],
+            cell_side=side,
+            key_mask=key_mask,
+            masks=frames.masks,
         )
     return WindowDepth(
         inverse_depth=inverse_depth,
@@ -286,33 +300,3 @@ def find_bend_share(
     bent_share = float((bend[used_cells] > DEPTH.usual_bend).mean()) if used_cells.any() else 0.0
     whole = DEPTH.deviation_of_bent_frame * bent_share**3
     return np.asarray(np.hypot(np.minimum(share, DEPTH.max_bend_share), whole), np.float32)
-
-
-def _check_motions(
-    key: np.ndarray,
-    others: list[np.ndarray],
-    motions: np.ndarray,
-    key_mask: np.ndarray | None,
-    masks: Sequence[np.ndarray | None] | None,
-) -> np.ndarray:
-    """Check that the arguments fit together, and return the motions, (M, 3, 4) float64."""
-    if not others:
-        raise InputError("others is empty: expected at least one frame")
-    motions = np.asarray(motions, np.float64)
-    if motions.shape != (len(others), 3, 4):
-        raise InputError(
-            f"motions is {motions.shape} for {len(others)} frames: expected ({len(others)}, 3, 4)"
-        )
-    if not np.isfinite(motions).all():
-        raise InputError("motions has values that are not finite: leave out these frames")
-    if not motions[:, :, 3].any(axis=1).all():
-        raise InputError("a motion has no translation: its frame gives no depth, leave it out")
-    arrays = [(f"others[{k}]", frame) for k, frame in enumerate(others)]
-    arrays += [("key_mask", key_mask)] if key_mask is not None else []
-    arrays += [(f"masks[{k}]", mask) for k, mask in enumerate(masks or []) if mask is not None]
-    for name, array in arrays:
-        if np.shape(array) != key.shape:
-            raise InputError(f"{name} is {np.shape(array)} but key is {key.shape}")
-    if masks is not None and len(masks) != len(others):
-        raise InputError(f"masks has {len(masks)} for {len(others)} frames: expected one each")
-    return motions
