@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from tisfm import Camera
-from tisfm.reconstruction.depth.neighbour_frames import choose_neighbours
+from tisfm.reconstruction.depth.neighbour_frames import (
+    choose_neighbours,
+    choose_neighbours_of_unmatched,
+)
 
 CAMERA, SHAPE = Camera(focal=300.0), (240, 320)
 
@@ -77,3 +80,57 @@ def test_no_more_than_asked_for():
     for most in (1, 6):
         chosen = choose_neighbours(poses, 40, 1.0, CAMERA, SHAPE, max_count=most)
         assert len(chosen) == most == len(set(chosen))
+
+
+def drive(count=60, speed=0.5):
+    """Return poses (N, 4, 4) of a camera that moves straight ahead."""
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    poses[:, 2, 3] = speed * np.arange(count)
+    return poses
+
+
+def road_before_a_wall():
+    """Return an inverse depth (H, W): a wall at 100, and a road 1.5 below the camera."""
+    below = np.arange(SHAPE[0]) - (SHAPE[0] - 1) / 2
+    road = np.maximum(below, 0) / (1.5 * CAMERA.focal)
+    return np.repeat(np.maximum(road, 0.01)[:, None], SHAPE[1], axis=1)
+
+
+def more_neighbours(poses, key, depth, first, is_unmatched):
+    return choose_neighbours_of_unmatched(
+        poses, key, depth, CAMERA, SHAPE, first=first, is_unmatched=is_unmatched
+    )
+
+
+def test_a_road_without_matches_gets_nearer_frames_than_the_wall_behind_it():
+    poses, depth, key = drive(), road_before_a_wall(), 30
+    first = choose_neighbours(poses, key, depth, CAMERA, SHAPE, max_count=3)
+    is_road = depth > 0.02
+    chosen = more_neighbours(poses, key, depth, first, is_road)
+    assert chosen
+    assert np.abs(np.array(chosen) - key).max() < np.abs(np.array(first) - key).max() / 2
+    # 4 m before the camera, a quarter of the distance is two frames
+    assert np.abs(np.array(chosen) - key).min() <= 2
+
+
+def test_first_frames_remain_where_others_show_the_part_no_better():
+    poses = line(0.01 * np.arange(-40, 41))
+    first = choose_neighbours(poses, 40, 1.0, CAMERA, SHAPE)
+    is_left_half = np.arange(SHAPE[1]) < SHAPE[1] / 2
+    assert more_neighbours(poses, 40, 1.0, first, np.tile(is_left_half, (SHAPE[0], 1))) == []
+
+
+def test_a_small_part_without_matches_gets_no_frames_of_its_own():
+    poses, depth = drive(), road_before_a_wall()
+    first = choose_neighbours(poses, 30, depth, CAMERA, SHAPE, max_count=3)
+    is_unmatched = np.zeros(SHAPE, bool)
+    is_unmatched[-8:] = True
+    assert more_neighbours(poses, 30, depth, first, is_unmatched) == []
+
+
+def test_cells_of_any_size_choose_the_same_frames():
+    poses, depth = drive(), road_before_a_wall()
+    first = choose_neighbours(poses, 30, depth, CAMERA, SHAPE, max_count=3)
+    is_road = depth > 0.02
+    whole = more_neighbours(poses, 30, depth, first, is_road)
+    assert more_neighbours(poses, 30, depth, first, is_road[::2, ::2]) == whole

@@ -110,6 +110,37 @@ def test_uniform_frames_have_no_depth():
     assert found_in((bare, [bare, bare], motions, camera)) is None
 
 
+def test_part_without_matches_is_matched_in_further_frames():
+    from tisfm.reconstruction.depth.window_matching import OtherFrames
+
+    scene = views("sideways", 120, 160, 6)
+    key, others, motions, camera = scene.first(6)
+    masks = [np.ones(key.shape, bool) for _ in others]
+    for mask in masks[:3]:
+        mask[:, 80:] = False  # the first frames show half of the scene
+    asked = []
+
+    def choose_further(is_unmatched):
+        asked.append(is_unmatched)
+        return [], OtherFrames(grey=others[3:], motions=motions[3:], masks=masks[3:])
+
+    first = (key, others[:3], motions[:3], camera)
+    once = found_in(first, masks=masks[:3])
+    again = found_in(first, masks=masks[:3], choose_further=choose_further)
+    assert len(asked) == 1 and asked[0][:, 90:].mean() > 0.9 > 0.1 > asked[0][:, :70].mean()
+    right, left = np.s_[:, 90:], np.s_[:, :70]
+    assert once.is_reliable[right].mean() < 0.1 < 0.8 < again.is_reliable[right].mean()
+    assert scene.errors(again)[right].mean() < 0.5 * scene.errors(once)[right].mean()
+    assert scene.errors(again)[left].mean() < 1.05 * scene.errors(once)[left].mean()
+
+
+def test_depth_is_unchanged_if_no_further_frames_are_chosen():
+    arguments = views("room").first(3)
+    once, again = found_in(arguments), found_in(arguments, choose_further=lambda unmatched: None)
+    np.testing.assert_array_equal(once.inverse_depth, again.inverse_depth)
+    np.testing.assert_array_equal(once.deviation, again.deviation)
+
+
 def test_arguments_are_left_alone_and_bits_stay():
     scene = views("room")
     arguments = scene.first(3)
