@@ -1,9 +1,12 @@
 """The choice of frames that determine the depth of a keyframe best."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tisfm import Camera
+from tisfm.reconstruction.depth import neighbour_frames
 from tisfm.reconstruction.depth.neighbour_frames import (
     choose_neighbours,
     choose_neighbours_of_unmatched,
@@ -105,12 +108,25 @@ def more_neighbours(poses, key, depth, first, is_unmatched):
 def test_a_road_without_matches_gets_nearer_frames_than_the_wall_behind_it():
     poses, depth, key = drive(), road_before_a_wall(), 30
     first = choose_neighbours(poses, key, depth, CAMERA, SHAPE, max_count=3)
-    is_road = depth > 0.02
-    chosen = more_neighbours(poses, key, depth, first, is_road)
-    assert chosen
+    chosen = more_neighbours(poses, key, depth, first, depth > 0.02)
+    assert len(chosen) > 1
     assert np.abs(np.array(chosen) - key).max() < np.abs(np.array(first) - key).max() / 2
-    # 4 m before the camera, a quarter of the distance is two frames
-    assert np.abs(np.array(chosen) - key).min() <= 2
+
+
+def test_frames_in_which_distances_change_much_are_not_chosen_for_a_part(monkeypatch):
+    # ahead, a wall at 20 moves by 3 % of the width only in frames that are several metres away
+    poses, key = drive(speed=1.0), 30
+    is_unmatched = np.zeros(SHAPE, bool)
+    is_unmatched[100:140, 140:180] = True
+
+    def farthest(ratio):
+        monkeypatch.setattr(
+            neighbour_frames, "DEPTH", replace(neighbour_frames.DEPTH, max_distance_ratio=ratio)
+        )
+        chosen = more_neighbours(poses, key, 1 / 20, [31], is_unmatched)
+        return np.abs(np.array(chosen) - key).max()
+
+    assert farthest(1.25) <= 8 < 12 <= farthest(100.0)
 
 
 def test_first_frames_remain_where_others_show_the_part_no_better():
@@ -120,12 +136,15 @@ def test_first_frames_remain_where_others_show_the_part_no_better():
     assert more_neighbours(poses, 40, 1.0, first, np.tile(is_left_half, (SHAPE[0], 1))) == []
 
 
-def test_a_small_part_without_matches_gets_no_frames_of_its_own():
+def test_a_single_frame_is_not_enough_for_a_part():
     poses, depth = drive(), road_before_a_wall()
-    first = choose_neighbours(poses, 30, depth, CAMERA, SHAPE, max_count=3)
-    is_unmatched = np.zeros(SHAPE, bool)
-    is_unmatched[-8:] = True
-    assert more_neighbours(poses, 30, depth, first, is_unmatched) == []
+    poses[32:] = poses[:30] = np.nan
+    assert more_neighbours(poses, 30, depth, [], depth > 0.02) == []
+
+
+def test_a_part_needs_a_cell():
+    with pytest.raises(ValueError, match="is_unmatched is False everywhere"):
+        more_neighbours(drive(), 30, 1.0, [31], np.zeros(SHAPE, bool))
 
 
 def test_cells_of_any_size_choose_the_same_frames():

@@ -110,21 +110,35 @@ def test_uniform_frames_have_no_depth():
     assert found_in((bare, [bare, bare], motions, camera)) is None
 
 
-def test_part_without_matches_is_matched_in_further_frames():
-    from tisfm.reconstruction.depth.window_matching import OtherFrames
-
+def half_seen_views():
+    """Return six views of a scene, and masks: the first three views show the left half only."""
     scene = views("sideways", 120, 160, 6)
-    key, others, motions, camera = scene.first(6)
-    masks = [np.ones(key.shape, bool) for _ in others]
+    masks = [np.ones(scene.key.shape, bool) for _ in scene.others]
     for mask in masks[:3]:
-        mask[:, 80:] = False  # the first frames show half of the scene
+        mask[:, 80:] = False
+    return scene, masks
+
+
+def further_frames(scene, masks, indices, kept=()):
+    from tisfm.reconstruction.depth.window_matching import FurtherFrames, OtherFrames
+
+    frames = OtherFrames(
+        grey=[scene.others[k] for k in indices],
+        motions=scene.motions[list(indices)],
+        masks=[masks[k] for k in indices],
+    )
+    return FurtherFrames(kept=kept, frames=frames)
+
+
+def test_part_without_matches_is_matched_in_further_frames():
+    scene, masks = half_seen_views()
     asked = []
 
     def choose_further(is_unmatched):
         asked.append(is_unmatched)
-        return [], OtherFrames(grey=others[3:], motions=motions[3:], masks=masks[3:])
+        return further_frames(scene, masks, (3, 4, 5))
 
-    first = (key, others[:3], motions[:3], camera)
+    first = (scene.key, scene.others[:3], scene.motions[:3], scene.camera)
     once = found_in(first, masks=masks[:3])
     again = found_in(first, masks=masks[:3], choose_further=choose_further)
     assert len(asked) == 1 and asked[0][:, 90:].mean() > 0.9 > 0.1 > asked[0][:, :70].mean()
@@ -132,6 +146,52 @@ def test_part_without_matches_is_matched_in_further_frames():
     assert once.is_reliable[right].mean() < 0.1 < 0.8 < again.is_reliable[right].mean()
     assert scene.errors(again)[right].mean() < 0.5 * scene.errors(once)[right].mean()
     assert scene.errors(again)[left].mean() < 1.05 * scene.errors(once)[left].mean()
+
+
+def test_second_matches_have_the_weight_and_the_frames_of_their_own_window():
+    from tisfm.reconstruction.depth.match_deviation import match_weights
+    from tisfm.reconstruction.depth.window_matching import OtherFrames, match_keyframe
+    from tisfm.reconstruction.depth.window_planes import Window, window_planes
+
+    scene, masks = half_seen_views()
+    made = []
+
+    def make_window(frames):
+        arguments = scene.key, frames.grey, frames.motions, scene.camera
+        made.append(Window(*arguments, cells=2**15, masks=frames.masks))
+        return made[-1]
+
+    further = further_frames(scene, masks, (4, 5), kept=(1,))
+    frames = OtherFrames(grey=scene.others[:2], motions=scene.motions[:2], masks=masks[:2])
+    matches = match_keyframe(frames, make_window, lambda unmatched: further)
+    first, second, whole = made
+    np.testing.assert_array_equal(matches.frames.motions, scene.motions[[0, 1, 4, 5]])
+    for window, indices in ((second, (1, 4, 5)), (whole, (0, 1, 4, 5))):
+        lengths = np.linalg.norm(scene.motions[list(indices), :, 3], axis=1) / window.unit
+        np.testing.assert_allclose(np.linalg.norm(window.motions[:, :, 3], axis=1), lengths)
+    first_planes, second_planes = window_planes(first), window_planes(second)
+    is_second = second_planes.is_reliable & ~first_planes.is_reliable
+    assert 0.1 < is_second.mean() < 1
+    weights = match_weights(second, second_planes)[0]
+    np.testing.assert_array_equal(matches.anchors[0][is_second], weights[is_second])
+    np.testing.assert_allclose(
+        matches.anchors[1][is_second] / whole.unit,
+        (weights > 0)[is_second] * second_planes.inverse_depth[is_second] / second.unit,
+        rtol=1e-5,
+    )
+
+
+def test_a_small_part_without_matches_is_not_matched_again(monkeypatch):
+    from tisfm.reconstruction.depth import window_matching
+
+    scene, masks = half_seen_views()
+    first = (scene.key, scene.others[:3], scene.motions[:3], scene.camera)
+    asked = []
+    for share in (0.4, 0.6):
+        settings = replace(window_matching.DEPTH, min_unmatched_share=share)
+        monkeypatch.setattr(window_matching, "DEPTH", settings)
+        found_in(first, masks=masks[:3], choose_further=lambda unmatched: asked.append(1))
+        assert len(asked) == 1
 
 
 def test_depth_is_unchanged_if_no_further_frames_are_chosen():

@@ -54,21 +54,20 @@ def choose_neighbours_of_unmatched(
     is_unmatched: np.ndarray,  # (h, w) bool: cells of the keyframe without a match
     max_count: int = 4,
     uncropped_shape: tuple[int, int] | None = None,
-) -> list[
-    int
-]:  # numbers of the chosen frames, the best first; empty if the first frames do as well
+) -> list[int]:  # their numbers, the best first; empty if no frames are clearly better
     """Choose frames for the part of a keyframe that has no matches in the first frames.
 
     On a drive, a far background fills most of a frame, and asks for frames so far apart that the
     road below the camera is no longer in them, or looks different there. The value s of a frame for
     a point is multiplied by min(1, log q / |log r|)², where r is the ratio of the distances of the
     point from both cameras, and q is `DEPTH.max_distance_ratio`. Points have the weight of the
-    unmatched cells around them. The benefit of a set of frames is the weighted mean of √S.
+    unmatched cells around them. The benefit of a set of frames is the weighted mean of √Σs, for
+    both sides together. At least two frames are chosen, so that one match confirms the other.
 
-    Raises ValueError if the keyframe has no pose or no known depth.
+    Raises ValueError if the keyframe has no pose or no known depth, or no cell is unmatched.
     """
-    if is_unmatched.mean() < DEPTH.min_unmatched_share:
-        return []
+    if not is_unmatched.any():
+        raise InputError("is_unmatched is False everywhere: expected a cell without a match")
     candidates = _Candidates(poses, key, inverse_depth, camera, shape, uncropped_shape)
     share = cv2.resize(
         is_unmatched.astype(np.float32), DEPTH.parallax_grid[::-1], interpolation=cv2.INTER_AREA
@@ -80,7 +79,8 @@ def choose_neighbours_of_unmatched(
         float(np.sqrt(values[np.isin(candidates.frames, frames)].sum(axis=0)) @ weights)
         for frames in (chosen, list(first))
     )
-    return chosen if benefit >= DEPTH.min_benefit_ratio * first_benefit else []
+    is_better = len(chosen) > 1 and benefit >= DEPTH.min_benefit_ratio * first_benefit
+    return chosen if is_better else []
 
 
 class _Candidates:
@@ -114,7 +114,10 @@ class _Candidates:
         )
 
     def likeness(self) -> np.ndarray:
-        """Return how alike points look in the frames (J, P): 1 at the same distance."""
+        """Return how alike points look in the frames (J, P): 1 at about the same distance.
+
+        A ratio of the distances scales the image of a point in both directions, so it counts twice.
+        """
         rotations, translations = self._motions[:, :3, :3], self._motions[:, :3, 3:]
         points = rotations @ self._rays + self._inverse_depths * translations
         ratio = np.linalg.norm(points, axis=1) / np.linalg.norm(self._rays, axis=0)

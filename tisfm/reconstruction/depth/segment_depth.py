@@ -27,7 +27,7 @@ from tisfm.reconstruction.depth.view_fusion import (
     upsample,
 )
 from tisfm.reconstruction.depth.window_depth import Effort, WindowDepth, by_effort, window_depth
-from tisfm.reconstruction.depth.window_matching import OtherFrames
+from tisfm.reconstruction.depth.window_matching import FurtherFrames, OtherFrames
 from tisfm.reconstruction.mapping.solution import Piece
 from tisfm.reconstruction.tracks.tracker import Observations
 from tisfm.reconstruction.tracks.triangulation import track_depths
@@ -182,7 +182,7 @@ class PieceDepths:
         if rough_depth is None:
             return None
         nearby = [f for f in poses if abs(f - key) <= DEPTH.max_frame_distance]
-        choice = (
+        arguments = (
             np.array([poses[f] for f in nearby]),
             nearby.index(key),
             rough_depth,
@@ -191,14 +191,14 @@ class PieceDepths:
         )
         max_count = by_effort(DEPTH.max_neighbours, effort)
         first = choose_neighbours(
-            *choice, max_count=max_count, uncropped_shape=self._uncropped_shape
+            *arguments, max_count=max_count, uncropped_shape=self._uncropped_shape
         )
         if not first:
             return None
 
-        def choose_further(is_unmatched: np.ndarray) -> tuple[list[int], OtherFrames] | None:
+        def choose_further(is_unmatched: np.ndarray) -> FurtherFrames | None:
             chosen = choose_neighbours_of_unmatched(
-                *choice,
+                *arguments,
                 first=first,
                 is_unmatched=is_unmatched,
                 max_count=max_count,
@@ -207,8 +207,10 @@ class PieceDepths:
             further = [nearby[k] for k in chosen if k not in first]
             if not further:
                 return None
-            kept = [n for n, k in enumerate(first) if k in chosen]
-            return kept, self._other_frames(key, further)
+            return FurtherFrames(
+                kept=[n for n, k in enumerate(first) if k in chosen],
+                frames=self._other_frames(key, further),
+            )
 
         frames = self._other_frames(key, [nearby[k] for k in first])
         return window_depth(

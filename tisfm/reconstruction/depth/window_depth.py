@@ -25,10 +25,9 @@ from tisfm.kernels.rigid.shared_depth import add_depth_terms, depth_constraint
 from tisfm.motion.problems import depth_problem
 from tisfm.motion.textureless_depth import SECOND_ORDER, texture_weight
 from tisfm.reconstruction.depth.fattened_matches import remove_fattened
-from tisfm.reconstruction.depth.match_deviation import match_weights
 from tisfm.reconstruction.depth.outline_search import search_outlines
 from tisfm.reconstruction.depth.settings import DEPTH, OUTLINES
-from tisfm.reconstruction.depth.window_matching import ChooseFurther, OtherFrames, match_window
+from tisfm.reconstruction.depth.window_matching import ChooseFurther, OtherFrames, match_keyframe
 from tisfm.reconstruction.depth.window_planes import Window, WindowPlanes, plane_costs
 from tisfm.settings import Settings
 from tisfm.solver.data_term import DataTerm
@@ -108,10 +107,10 @@ def window_depth(
             uncropped_shape=uncropped_shape,
         )
 
-    frames, window, planes = match_window(frames, make_window, choose_further)
-    anchors = match_weights(window, planes)
-    anchors = remove_fattened(window, anchors, second_order(window.level))
-    planes = replace(planes, is_reliable=anchors[0] > 0)
+    matches = match_keyframe(frames, make_window, choose_further)
+    frames, window = matches.frames, matches.window
+    anchors = remove_fattened(window, matches.anchors, second_order(window.level))
+    planes = replace(matches.planes, is_reliable=anchors[0] > 0)
     if planes.is_reliable.sum() < max(1, DEPTH.min_matched_share * window.used_cells.sum()):
         return None
     iterations = by_effort(DEPTH.propagation_iterations, effort)

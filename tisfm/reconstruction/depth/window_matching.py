@@ -1,4 +1,4 @@
-"""Matches of a keyframe, with other frames for the part that has no matches in the first ones."""
+"""Matches of a keyframe, with frames of its own for the part without matches in the first ones."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -6,12 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from tisfm.errors import InputError
+from tisfm.reconstruction.depth.match_deviation import match_weights
+from tisfm.reconstruction.depth.settings import DEPTH
 from tisfm.reconstruction.depth.window_planes import Window, WindowPlanes, window_planes
 
 
 @dataclass(frozen=True, kw_only=True)
 class OtherFrames:
-    """The other frames of a keyframe's window."""
+    """Frames in which a keyframe is matched."""
 
     grey: Sequence[np.ndarray]  # (H, W) float32: grey levels of each of M frames
     motions: np.ndarray  # (M, 3, 4) float64: R, t from the keyframe to each frame: P₁ = R P₀ + t
@@ -54,40 +56,70 @@ class OtherFrames:
         )
 
 
-# Returns the frames for the cells without a match, (h, w) bool: indices of first frames that suit
-# these cells, too, and further frames; None if the first frames suit them as well as any.
-ChooseFurther = Callable[[np.ndarray], tuple[Sequence[int], OtherFrames] | None]
+@dataclass(frozen=True, kw_only=True)
+class FurtherFrames:
+    """Frames for the part of a keyframe that has no matches in the first frames."""
+
+    kept: Sequence[int]  # indices of the first frames that suit this part, too
+    frames: OtherFrames
 
 
-def match_window(
+# Returns frames for the cells without a match, (h, w) bool; None if none are clearly better.
+ChooseFurther = Callable[[np.ndarray], FurtherFrames | None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Matches:
+    """Planes of a keyframe, and the weights of its matches."""
+
+    frames: OtherFrames  # all frames that were matched
+    window: Window  # of these frames
+    planes: WindowPlanes  # D is in the unit of the window
+    anchors: np.ndarray  # (2, h, w) float32: weight of each cell, and its matched D, cells
+
+
+def match_keyframe(
     frames: OtherFrames,
     make_window: Callable[[OtherFrames], Window],
     choose_further: ChooseFurther | None,
-) -> tuple[OtherFrames, Window, WindowPlanes]:
-    """Match planes of a keyframe; cells without a match are matched again in their own frames.
+) -> Matches:
+    """Match planes of a keyframe; a part without matches is matched again, in its own frames.
 
-    The returned frames and window are those of both searches.
+    A second match has the weight that it has among the frames in which it was found.
     """
     window = make_window(frames)
     planes = window_planes(window)
-    is_unmatched = ~planes.is_reliable & window.used_cells
-    choice = choose_further(is_unmatched) if choose_further and is_unmatched.any() else None
-    if choice is None:
-        return frames, window, planes
-    kept, further = choice
-    second_window = make_window(frames.select(kept) + further)
-    second_planes = window_planes(second_window)
-    all_frames = frames + further
-    whole_window = make_window(all_frames)
-    is_second = second_planes.is_reliable & ~planes.is_reliable
-    # D is in the unit of its window
-    units = np.where(is_second, second_window.unit, window.unit)
-    factor = (whole_window.unit / units).astype(np.float32)
-    merged_planes = WindowPlanes(
-        level=planes.level,
-        inverse_depth=factor
-        * np.where(is_second, second_planes.inverse_depth, planes.inverse_depth),
-        slopes=factor * np.where(is_second, second_planes.slopes, planes.slopes),
-        is_reliable=planes.is_reliable | is_second,
+    first = Matches(
+        frames=frames, window=window, planes=planes, anchors=match_weights(window, planes)
     )
-    return all_frames, whole_window, merged_planes
+    is_unmatched = ~planes.is_reliable & window.used_cells
+    unmatched_count, used_count = is_unmatched.sum(), window.used_cells.sum()
+    if choose_further is None or unmatched_count <= DEPTH.min_unmatched_share * used_count:
+        return first
+    further = choose_further(is_unmatched)
+    return first if further is None else _add_matches(first, further, make_window)
+
+
+def _add_matches(
+    first: Matches, further: FurtherFrames, make_window: Callable[[OtherFrames], Window]
+) -> Matches:
+    second_frames = first.frames.select(further.kept) + further.frames
+    second_window = make_window(second_frames)
+    second = window_planes(second_window)
+    second_weights = match_weights(second_window, second)[0]
+    is_second = second.is_reliable & ~first.planes.is_reliable
+    all_frames = first.frames + further.frames
+    units = np.where(is_second, second_window.unit, first.window.unit)
+    del second_window  # frees its images
+    window = make_window(all_frames)
+    factor = (window.unit / units).astype(np.float32)
+    depth = np.where(is_second, second.inverse_depth, first.planes.inverse_depth)
+    planes = WindowPlanes(
+        level=window.level,
+        inverse_depth=factor * depth,
+        slopes=factor * np.where(is_second, second.slopes, first.planes.slopes),
+        is_reliable=first.planes.is_reliable | is_second,
+    )
+    weights = np.where(is_second, second_weights, first.anchors[0])
+    anchors = np.stack([weights, np.where(weights > 0, planes.inverse_depth, 0)])
+    return Matches(frames=all_frames, window=window, planes=planes, anchors=anchors)
