@@ -75,6 +75,7 @@ def test_bare_cells_beside_an_outline_do_not_count():
         inverse_depth=depth,
         slopes=np.zeros((2, 40, 60), np.float32),
         is_reliable=np.ones((40, 60), bool),
+        has_texture=np.ones((40, 60), bool),
     )
     weight, target = match_weights(shifted(step, (1, 0, 0)), planes)
     assert (weight[:, 29:31] > 0.9).all()

@@ -181,6 +181,16 @@ def test_second_matches_have_the_weight_and_the_frames_of_their_own_window():
     )
 
 
+def test_a_part_without_texture_is_not_matched_again():
+    scene, masks = half_seen_views()
+    bare = scene.key.copy()
+    bare[:, 80:] = 120  # the part without matches shows nothing
+    asked = []
+    arguments = (bare, scene.others[:3], scene.motions[:3], scene.camera)
+    found_in(arguments, masks=masks[:3], choose_further=lambda unmatched: asked.append(1))
+    assert not asked
+
+
 def test_a_small_part_without_matches_is_not_matched_again(monkeypatch):
     from tisfm.reconstruction.depth import window_matching
 

@@ -19,7 +19,8 @@ class DepthSettings:
     min_gain: float = 0.03
     # neighbour_frames, of the part of a keyframe without matches. The three numbers were chosen on
     # 12 rendered drives, and eight films of rooms, yards and streets.
-    min_unmatched_share: float = 0.1  # share of the used cells: fewer are not matched again
+    # share of the used cells with texture and without a match: fewer are not matched again
+    min_unmatched_share: float = 0.1
     # ratio of a point's distances from both cameras: with a larger ratio, a frame counts less
     max_distance_ratio: float = 1.25
     # benefit of the new frames for this part, divided by the benefit of the first frames

@@ -64,7 +64,8 @@ class FurtherFrames:
     frames: OtherFrames
 
 
-# Returns frames for the cells without a match, (h, w) bool; None if none are clearly better.
+# Returns frames for the cells with texture and without a match, (h, w) bool; None if no frames are
+# clearly better for them.
 ChooseFurther = Callable[[np.ndarray], FurtherFrames | None]
 
 
@@ -83,16 +84,17 @@ def match_keyframe(
     make_window: Callable[[OtherFrames], Window],
     choose_further: ChooseFurther | None,
 ) -> Matches:
-    """Match planes of a keyframe; a part without matches is matched again, in its own frames.
+    """Match planes of a keyframe; a textured part without matches is matched again.
 
-    A second match has the weight that it has among the frames in which it was found.
+    It is matched in frames of its own, and a match there has the weight that it has among them.
     """
     window = make_window(frames)
     planes = window_planes(window)
     first = Matches(
         frames=frames, window=window, planes=planes, anchors=match_weights(window, planes)
     )
-    is_unmatched = ~planes.is_reliable & window.used_cells
+    # a cell that shows only noise, such as sky, has no match in any frame
+    is_unmatched = planes.has_texture & ~planes.is_reliable & window.used_cells
     unmatched_count, used_count = is_unmatched.sum(), window.used_cells.sum()
     if choose_further is None or unmatched_count <= DEPTH.min_unmatched_share * used_count:
         return first
@@ -119,6 +121,7 @@ def _add_matches(
         inverse_depth=factor * depth,
         slopes=factor * np.where(is_second, second.slopes, first.planes.slopes),
         is_reliable=first.planes.is_reliable | is_second,
+        has_texture=first.planes.has_texture,
     )
     weights = np.where(is_second, second_weights, first.anchors[0])
     anchors = np.stack([weights, np.where(weights > 0, planes.inverse_depth, 0)])

@@ -10,7 +10,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.kernels.rigid.patch_match import MAX_SLOPE
 from tisfm.kernels.rigid.view_search import MAX_FRAMES, ViewSearch
-from tisfm.kernels.rigid.windows import MAX_GREY
+from tisfm.kernels.rigid.windows import MAX_GREY, UNTEXTURED
 from tisfm.motion.matched_planes import grey_scale, noise_deviation
 from tisfm.motion.settings import DEPTH as PAIR_DEPTH
 from tisfm.reconstruction.depth.settings import DEPTH
@@ -35,6 +35,7 @@ class WindowPlanes:
     inverse_depth: np.ndarray  # (h, w) float32: D, px
     slopes: np.ndarray  # (2, h, w) float32: ∂D/∂x and ∂D/∂y, px per cell
     is_reliable: np.ndarray  # (h, w) bool
+    has_texture: np.ndarray  # (h, w) bool: cells whose windows show more than noise
 
 
 class Window:
@@ -212,6 +213,7 @@ def window_planes(window: Window) -> WindowPlanes:
         inverse_depth=depth,
         slopes=np.ascontiguousarray(np.moveaxis(planes[..., 1:3], -1, 0)),
         is_reliable=_remove_small_regions(depth, is_reliable, min_cells),
+        has_texture=planes[..., 3] < UNTEXTURED,
     )
 
 
