@@ -17,8 +17,8 @@ class DepthSettings:
     max_parallax: float = 0.12  # image widths: with more parallax, windows differ too much
     # mean gain of the grid points by one more frame; a point that becomes visible gains up to 1
     min_gain: float = 0.03
-    # neighbour_frames, of the part of a keyframe without matches. The three numbers were chosen on
-    # 12 rendered drives, and eight films of rooms, yards and streets.
+    # window_matching and neighbour_frames, of the part of a keyframe without matches. The three
+    # numbers were chosen on 12 rendered drives, and on eight films of rooms, yards and streets.
     # share of the used cells with texture and without a match: fewer are not matched again
     min_unmatched_share: float = 0.1
     # ratio of a point's distances from both cameras: with a larger ratio, a frame counts less
