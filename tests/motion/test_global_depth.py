@@ -82,3 +82,25 @@ def test_a_board_smaller_than_its_motion_gets_its_depth(preset, max_wrong):
     hidden = np.s_[75:105, 80:115]
     deviation = result.inverse_depth_std
     assert np.median(deviation[hidden]) > np.median(deviation[75:105, 230:300])
+
+
+def test_a_small_board_is_found_beside_depth_that_is_right():
+    """One percent of the frame hardly changes a figure of the whole frame."""
+    frames, truth = flying_board(BACKGROUND)  # a board at rest on the wall: none to be lost
+    small = np.s_[100:130, 240:264]
+    patch = cv2.GaussianBlur(np.random.default_rng(7).uniform(-500, 755, (30, 24)), (0, 0), 2).clip(
+        0, 255
+    )
+    frames[0][small] = patch
+    frames[1][100:130, 240 - int(BOARD) : 264 - int(BOARD)] = patch
+    frames[1] = frames[1].copy()
+    truth[small] = BOARD
+    pose = np.eye(4)
+    pose[0, 3] = -1.0
+    settings = tisfm.Settings.preset("balanced", motion="camera")
+    result = tisfm.interpret(
+        *frames, camera=tisfm.Camera(focal=FOCAL), settings=settings, pose=pose
+    )
+    wrong = np.abs(result.inverse_depth * FOCAL - truth) > 3
+    assert wrong[104:126, 244:260].mean() < 0.15
+    assert wrong.mean() < 0.03

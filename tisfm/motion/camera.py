@@ -10,7 +10,7 @@ from tisfm.motion.estimate import Estimate, make_depthless_estimate, make_estima
 from tisfm.motion.first_motion import FirstMotion, first_motion
 from tisfm.motion.fixed_pixels import find_fixed_pixels
 from tisfm.motion.focal_evidence import FocalEvidence
-from tisfm.motion.global_depth import explains_better, global_depth
+from tisfm.motion.global_depth import global_depth
 from tisfm.motion.plane_sweep import PlaneSweep
 from tisfm.motion.rigid_depth import Refinement, RigidSolution, rigid_depth, scaled_translations
 from tisfm.motion.settings import DEPTH
@@ -127,15 +127,9 @@ def camera_estimate(
         flow_residual = start.residual
     # A flow field may miss a small thing altogether; a given motion allows for a search without it.
     if unit is not None or sweep.is_needed:
-        candidate = global_depth(
-            pyramid,
-            settings,
-            motions[0],
-            found_depth=solution.inverse_depth,
-            refine=refine,
-        )
-        if candidate is not None and explains_better(pyramid, candidate, solution):
-            solution, flow_residual = candidate, start.residual
+        joined = global_depth(pyramid, settings, solution)
+        if joined is not None:
+            solution, flow_residual = joined, start.residual
     estimate = make_estimate(
         solution, labels, camera, settings, unit=unit, flow_residual=flow_residual
     )

@@ -2,7 +2,8 @@
 
 An estimate from coarse to fine loses things that are smaller than their motion. Here, census
 transforms are compared for all inverse depths up to half of the image, in both directions, with
-semi-global aggregation. Pixels whose matches disagree get the depth of the farther side.
+semi-global aggregation. Pixels whose matches disagree get the depth of the farther side. Region by
+region, the frames choose between this depth and the estimate (`tisfm.motion.better_regions`).
 """
 
 import cv2
@@ -10,19 +11,19 @@ import numpy as np
 
 from tisfm.camera import Camera
 from tisfm.kernels.layout.lanes import aligned_empty
-from tisfm.kernels.model import MIN_DEPTH_RATIO
 from tisfm.kernels.rigid.census import BITS, WORDS, census_cost
 from tisfm.kernels.rigid.semi_global import UNUSED_COST, aggregate, best_hypothesis
+from tisfm.motion.better_regions import better_regions
+from tisfm.motion.joined_solution import join_solutions
+from tisfm.motion.moved_pixels import move_pixels
 from tisfm.motion.plane_sweep import MAX_COSTS, MIN_MEAN_STEP
-from tisfm.motion.rigid_depth import Refinement, RigidSolution, rigid_depth
+from tisfm.motion.rigid_depth import RigidSolution, rigid_depth
 from tisfm.motion.settings import GLOBAL
 from tisfm.motion.sparse_start import depth_flow
-from tisfm.motion.window_statistics import correlation, texture
 from tisfm.runtime import lanes
 from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid
 from tisfm.solver.smoothness import mean_step
-from tisfm.visibility.occlusion import leaves_image
 
 REGION_UNITS = 16  # units per px of D for cv2.filterSpeckles, which takes integers
 
@@ -30,35 +31,26 @@ REGION_UNITS = 16  # units per px of D for cv2.filterSpeckles, which takes integ
 def global_depth(
     pyramid: ImagePyramid,
     settings: Settings,
-    # (3, 4) array: R and t, as from `tisfm.motion.rigid_depth.scaled_translations`
-    motion: np.ndarray,
-    *,
-    found_depth: np.ndarray,  # (H, W) float32: D that was found without this search
-    refine: Refinement,  # part of the motion that is refined with depth
+    solution: RigidSolution,  # of one motion, whose depth was found without this search
 ) -> RigidSolution | None:
-    """Return depth from a global search.
+    """Return a solution with depth from a global search in the regions where the frames prefer it.
 
-    Returns None if the frames are not far apart, or if few matches of a coarse level contradict the
-    depth that was found.
+    Returns None if the frames are not far apart, if hardly any match of a coarse level contradicts
+    the depth that was found, or if the frames prefer that depth everywhere.
     """
-    frames = pyramid.frames0
+    frames, motion = pyramid.frames0, solution.motions[0]
     coarse = next(
         (k for k, frame in enumerate(frames) if frame.size <= GLOBAL.range_pixels), len(frames) - 1
     )
     reach = GLOBAL.max_parallax * max(frames[coarse].shape)
     depth, is_matched = _match(pyramid, coarse, motion, reach)
-    coarse_found = pyramid.scales[coarse] * cv2.resize(found_depth, depth.shape[::-1])
     if is_matched.mean() < GLOBAL.min_matched_share:
         return None
     high = float(np.percentile(depth[is_matched], GLOBAL.range_percentile)) / pyramid.scales[coarse]
     if high < GLOBAL.min_parallax * max(pyramid.shape):
         return None
-    if _contradicted_share(depth, is_matched, coarse_found) < GLOBAL.min_contradicted_share:
-        return None
-    coarse_depth = _fill(depth, is_matched, motion, pyramid.cameras[coarse])
-    if _alignment(pyramid, coarse, coarse_depth, motion) < (
-        _alignment(pyramid, coarse, coarse_found, motion) + GLOBAL.min_coarse_gain
-    ):
+    found = pyramid.scales[coarse] * cv2.resize(solution.inverse_depth, depth.shape[::-1])
+    if _contradicted_share(depth, is_matched, found) < GLOBAL.min_contradicted_share:
         return None
     high = min((1 + GLOBAL.range_margin) * high, GLOBAL.max_parallax * max(pyramid.shape))
     level = next(
@@ -74,18 +66,31 @@ def global_depth(
     ratio = np.float32(pyramid.scales[last] / pyramid.scales[level])
     start = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST) * ratio
     height, width = pyramid.shape
-    support = cv2.resize(
-        is_matched.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST
+    support = (
+        cv2.resize(is_matched.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
+        > 0
     )
-    return rigid_depth(
+    candidate = rigid_depth(
         pyramid,
         settings,
         motion[None],
         np.zeros(pyramid.shape, np.int32),
         last=last,
-        refine=refine,
-        support=support > 0,
+        refine="none",
+        support=support,
         start=(last, start),
+    )
+    is_better = better_regions(
+        pyramid, motion, solution.inverse_depth, candidate.inverse_depth, support
+    )
+    if not is_better.any():
+        return None
+    return join_solutions(
+        solution,
+        candidate,
+        is_better,
+        motions=solution.motions,
+        status_of=candidate if is_better.mean() > 0.5 else solution,
     )
 
 
@@ -99,30 +104,6 @@ def _contradicted_share(
     window = np.ones((3, 3), np.uint8)
     excess = np.maximum(depth - cv2.dilate(found, window), cv2.erode(found, window) - depth)
     return float((excess[is_matched] > GLOBAL.contradiction).mean())
-
-
-def explains_better(
-    pyramid: ImagePyramid, candidate: RigidSolution, solution: RigidSolution
-) -> bool:
-    """Return whether the frames correlate better along the flow of a candidate for a solution."""
-    alignments = [
-        _alignment(pyramid, 0, result.inverse_depth, result.motions[0])
-        for result in (candidate, solution)
-    ]
-    return alignments[0] - alignments[1] > GLOBAL.min_correlation_gain
-
-
-def _alignment(pyramid: ImagePyramid, level: int, depth: np.ndarray, motion: np.ndarray) -> float:
-    """Return the mean correlation of the frames along the flow of D, (h, w), by texture."""
-    frame0, frame1 = pyramid.frames0[level], pyramid.frames1[level]
-    flow = depth_flow(depth, motion, pyramid.cameras[level])
-    components = np.moveaxis(flow, -1, 0)
-    hidden = leaves_image(components)
-    weight = texture(frame0)
-    if pyramid.masks is not None:
-        weight = np.where(pyramid.masks.ignored_pixels(components, level), 0, weight)
-    correlations = np.where(hidden, 0, correlation(frame0, frame1, flow))
-    return float((weight * correlations).sum() / max(float(weight.sum()), MIN_MEAN_STEP))
 
 
 def _match(
@@ -207,17 +188,9 @@ def _agrees(
     depth0: np.ndarray, depth1: np.ndarray, motion: np.ndarray, camera: Camera
 ) -> np.ndarray:
     """Return whether D of frame 0 and of frame 1, (h, w), show the same points, (h, w) bool."""
-    height, width = depth0.shape
-    flow = depth_flow(depth0, motion, camera)
-    columns = np.rint(flow[..., 0] + np.arange(width)).astype(np.int64)
-    rows = np.rint(flow[..., 1] + np.arange(height)[:, None]).astype(np.int64)
-    is_inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
-    cx, cy = camera.center_for(height, width)
-    x, y = (np.arange(width) - cx) / camera.focal, (np.arange(height)[:, None] - cy) / camera.focal
-    z = motion[2, 0] * x + motion[2, 1] * y + motion[2, 2] + depth0 * motion[2, 3] / camera.focal
-    expected = depth0 / np.maximum(z, MIN_DEPTH_RATIO)
-    found = depth1[rows.clip(0, height - 1), columns.clip(0, width - 1)]
-    agrees: np.ndarray = is_inside & (np.abs(found - expected) <= GLOBAL.max_disagreement)
+    moved = move_pixels(depth0, motion, camera)
+    difference = np.abs(depth1[moved.rows, moved.columns] - moved.depth)
+    agrees: np.ndarray = moved.is_inside & (difference <= GLOBAL.max_disagreement)
     return agrees
 
 

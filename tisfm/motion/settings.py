@@ -177,10 +177,7 @@ class GlobalDepthSettings:
     min_matched_share: float = 0.1  # share of the pixels that match, on the coarse level
     # px of the coarse level: difference from the D around a pixel by which a match contradicts it
     contradiction: float = 1.0
-    min_contradicted_share: float = 0.03  # share of such matches from which depth is searched
-    # gain of mean correlation on the coarse level from which depth is searched on a fine level: at
-    # most 0.021 in bare rooms, whose matches are often wrong; 0.035 and more in distant frames
-    min_coarse_gain: float = 0.025
+    min_contradicted_share: float = 0.005  # share of such matches from which depth is searched
     cost_factor: float = 2.0  # factor of the share of differing bits
     step_cost: float = 0.3  # cost of a change between neighbours by one hypothesis
     jump_cost: float = 4.0  # cost of a larger change
@@ -191,10 +188,14 @@ class GlobalDepthSettings:
     region_step: float = 1.5  # px: largest step of D within a region
     line_step: float = 1.0  # px of D: step that shows the direction of an epipolar line
     median_window: int = 5  # px: side of the window of the median of filled depth
-    # gain of mean correlation from which this depth replaces depth from coarse to fine: 0.033 and
-    # more in distant frames. It was 0.023 in a bare room with worse depth, which `min_coarse_gain`
-    # excludes.
-    min_correlation_gain: float = 0.02
+    # better_regions
+    # px/frame of D: differences of two estimates that belong to one region
+    region_difference: float = 1.0
+    # Mean gain of correlation from which a region gets the new depth. Twice and half of it, and of
+    # the next number, change errors by less than a tenth.
+    min_gain: float = 0.005
+    # px/frame of D: a pixel that moves behind one that is nearer by more is hidden
+    min_hidden_distance: float = 1.5
 
 
 @dataclass(frozen=True, kw_only=True)

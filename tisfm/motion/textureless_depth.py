@@ -6,7 +6,7 @@ depth to the other pixels (`tisfm.solver.second_order`). Then the constraints of
 depth where windows vary by more than noise.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -14,9 +14,9 @@ import numpy as np
 from tisfm.kernels.layout.images import image_to_lanes, lanes_to_images, multiply
 from tisfm.kernels.layout.launch import join_launches
 from tisfm.kernels.rigid.epipolar import displacement, restrict_to_line
+from tisfm.motion.joined_solution import JoinedSolution
 from tisfm.motion.matched_planes import MatchedPlanes, matched_planes, noise_deviation
 from tisfm.motion.problems import depth_problem
-from tisfm.motion.rigid_depth import RigidSolution
 from tisfm.motion.settings import DEPTH
 from tisfm.motion.window_statistics import window_variance
 from tisfm.settings import Settings
@@ -34,17 +34,6 @@ from tisfm.solver.smoothness import image_driven_factor
 SECOND_ORDER = SecondOrderSettings(
     alpha=48.0, beta=196608.0, slope_contrast=0.1, crease_contrast=0.003, image_edges=5.0
 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class TexturelessSolution(RigidSolution):
-    """A rigid solution whose depth was partly carried, with the deviation of this depth."""
-
-    carried_deviation: np.ndarray  # (H, W) float32: standard deviation of D
-
-    def deviation(self) -> np.ndarray:
-        """Return the standard deviation of D, (H, W) float32."""
-        return self.carried_deviation.copy()
 
 
 def textureless_share(frame: np.ndarray, valid: np.ndarray | None = None) -> float:
@@ -70,7 +59,7 @@ def textureless_depth(
     # (H, W) bool array: pixels whose matches and constraints are used, by default all. Depth is
     # carried to the other pixels.
     support: np.ndarray | None = None,
-) -> TexturelessSolution | None:
+) -> JoinedSolution | None:
     """Estimate the inverse depth of every pixel under a known motion.
 
     Returns None if too few pixels could be matched, or if no level is small enough.
@@ -98,7 +87,7 @@ def textureless_depth(
         history += [(level, warp, iteration) for iteration in iterations]
     state.limit_depth(planes)
     unknowns = state.unknowns
-    return TexturelessSolution(
+    return JoinedSolution(
         motions=motion[None],
         inverse_depth=resize_to_finest(pyramid, unknowns, level)[0],
         precision=state.precision(),
@@ -107,7 +96,7 @@ def textureless_depth(
         history=history,
         converged=converged,
         is_limit_adjustable=False,
-        carried_deviation=_deviation(planes, unknowns.images()[0], pyramid),
+        known_deviation=_deviation(planes, unknowns.images()[0], pyramid),
     )
 
 

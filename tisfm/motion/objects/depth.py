@@ -15,6 +15,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.motion.egomotion import triangulate
 from tisfm.motion.estimate import Estimate
+from tisfm.motion.joined_solution import JoinedSolution, join_solutions
 from tisfm.motion.objects.layers import fill_nearest
 from tisfm.motion.objects.settings import OBJECTS
 from tisfm.motion.rigid_depth import (
@@ -24,7 +25,7 @@ from tisfm.motion.rigid_depth import (
     scaled_translations,
 )
 from tisfm.motion.settings import DEPTH
-from tisfm.motion.textureless_depth import TexturelessSolution, textureless_depth, textureless_share
+from tisfm.motion.textureless_depth import textureless_depth, textureless_share
 from tisfm.settings import Settings
 from tisfm.solver.image_pyramid import ImagePyramid
 
@@ -133,7 +134,7 @@ def carry_background_depth(
     # (3, 4) array: R and t of the background's layer, because wrong depth of textureless surfaces
     # spoils the refined motion
     motion: np.ndarray,
-) -> TexturelessSolution | None:
+) -> JoinedSolution | None:
     """Return a solution with carried depth of the background, if the frame is partly textureless.
 
     Pixels of other labels keep their motion and depth. They are neither matched nor constrained
@@ -163,38 +164,12 @@ def carry_background_depth(
     new_solution = textureless_depth(pyramid, settings, motions[0], support=interior)
     if new_solution is None:
         return None
-    size = solution.precision.shape[:0:-1]
-    is_coarse_background = (
-        cv2.resize(is_background.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-    )
     solutions: list[RigidSolution] = [solution, new_solution]
     if labels.any() and not solution.converged:
         solutions.reverse()  # the last one gives the status of the iterations
-    other_solution, status_solution = solutions
-    return TexturelessSolution(
-        motions=motions,
-        inverse_depth=np.where(is_background, new_solution.inverse_depth, solution.inverse_depth),
-        precision=np.where(
-            is_coarse_background, _resize_precision(new_solution, solution), solution.precision
-        ),
-        level=solution.level,
-        density=solution.density,
-        history=other_solution.history + status_solution.history,
-        converged=status_solution.converged,
-        is_limit_adjustable=status_solution.is_limit_adjustable,
-        carried_deviation=np.where(is_background, new_solution.deviation(), solution.deviation()),
+    return join_solutions(
+        solution, new_solution, is_background, motions=motions, status_of=solutions[-1]
     )
-
-
-def _resize_precision(solution: TexturelessSolution, target: RigidSolution) -> np.ndarray:
-    """Return the precision of a solution on the level of `target`, (7, h, w) float32."""
-    if solution.level == target.level:
-        return solution.precision
-    size = target.precision.shape[:0:-1]
-    ratio = np.float32((solution.density / target.density) ** 2)  # ratio of px² of both levels
-    units = (ratio, ratio, ratio, 1 / ratio, 1 / ratio, 1 / ratio, 1 / ratio)
-    channels = zip(solution.precision, units, strict=True)
-    return np.stack([cv2.resize(channel, size) * unit for channel, unit in channels])
 
 
 def align_scales(

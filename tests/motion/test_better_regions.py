@@ -1,0 +1,105 @@
+"""The choice between two depths of a pair, region by region."""
+
+import cv2
+import numpy as np
+import pytest
+
+from tisfm.camera import Camera
+from tisfm.motion.better_regions import better_regions
+from tisfm.solver.image_pyramid import ImagePyramid
+
+HEIGHT, WIDTH = 120, 200
+NEAR, FAR = 24.0, 8.0  # px: displacements to the left
+MOTION = np.column_stack([np.eye(3), [-1.0, 0, 0]])
+
+
+def textured(seed, size=(HEIGHT, WIDTH + 100)):
+    noise = np.random.default_rng(seed).uniform(-300, 555, size)
+    return cv2.GaussianBlur(noise, (0, 0), 2).clip(0, 255).astype(np.float32)
+
+
+def frames_of_a_board(board):
+    """Return frames of a board, (rows, columns) of frame 0, before a wall, and their D."""
+    wall, surface = textured(1), textured(2)
+    frame0, frame1 = wall[:, :WIDTH].copy(), wall[:, int(FAR) :][:, :WIDTH].copy()
+    depth = np.full((HEIGHT, WIDTH), FAR, np.float32)
+    rows, columns = board
+    depth[rows, columns] = NEAR
+    frame0[rows, columns] = surface[rows, columns]
+    left, right = (max(0, column - int(NEAR)) for column in (columns.start, columns.stop))
+    frame1[rows, left:right] = surface[rows, left + int(NEAR) : right + int(NEAR)]
+    return frame0, frame1, depth
+
+
+def choose(frame0, frame1, found, candidate, is_matched=None):
+    pyramid = ImagePyramid(frame0, frame1, Camera(focal=100.0), factor=0.5, levels=1)
+    if is_matched is None:
+        is_matched = np.ones(found.shape, bool)
+    return better_regions(
+        pyramid, MOTION, found.astype(np.float32), candidate.astype(np.float32), is_matched
+    )
+
+
+BOARD = slice(30, 90), slice(90, 140)
+INSIDE = slice(40, 80), slice(100, 130)
+
+
+@pytest.mark.parametrize("is_matched", [True, False])
+def test_each_region_gets_the_depth_that_the_frames_show(is_matched):
+    frame0, frame1, truth = frames_of_a_board(BOARD)
+    found = np.full_like(truth, FAR)  # has lost the board
+    candidate = truth.copy()
+    candidate[:, 160:] = NEAR  # and this one is wrong beside it
+    is_better = choose(frame0, frame1, found, candidate, np.full(truth.shape, is_matched))
+    assert is_better[INSIDE].all()
+    assert not is_better[5:115, 165:195].any()
+
+
+def test_a_bare_wall_keeps_its_depth():
+    """Noise correlates a little better along one of two depths, but counts little."""
+    rng = np.random.default_rng(4)
+    frame0, frame1, truth = frames_of_a_board(BOARD)
+    bare = np.s_[:, 150:]
+    for frame, left in ((frame0, 150), (frame1, 150 - int(FAR))):
+        frame[:, left:] = 100.0
+        frame += rng.normal(0, 2, frame.shape).astype(np.float32)
+    candidate = truth.copy()
+    candidate[bare] = 2.0
+    found = np.full_like(truth, FAR)
+    is_better = choose(frame0, frame1, found, candidate)
+    assert is_better[INSIDE].all()
+    assert not is_better[10:110, 185:].any()
+
+
+def test_a_hidden_pixel_gets_the_farther_depth():
+    frame0, frame1, truth = frames_of_a_board(BOARD)
+    # The board moves 16 px over the wall to its left. What is hidden there looks like the board,
+    # by chance, for a depth between board and wall.
+    hidden = np.s_[40:80, 80:86]
+    between = (NEAR + FAR) / 2 - 4
+    found, candidate = truth.copy(), truth.copy()
+    found[hidden] = between
+    shift = int(between)
+    frame1[40:80, 80 - shift : 86 - shift] = frame0[hidden]
+    assert choose(frame0, frame1, found, candidate)[hidden].all()
+    assert not choose(frame0, frame1, candidate, found)[hidden].any()
+
+
+def test_what_leaves_the_image_is_not_replaced_by_weak_matches():
+    frame0, frame1, truth = frames_of_a_board((slice(30, 90), slice(0, 22)))
+    part = np.s_[40:80, 2:20]
+    candidate = truth.copy()
+    candidate[:, :22] = 2.0  # inside the image, where frame 1 looks a little alike
+    frame1[30:90, :20] = (frame1[30:90, :20] + frame0[30:90, 2:22]) / 2
+    assert not choose(frame0, frame1, truth, candidate)[part].any()
+    # The other way round, a depth that leaves the image is better than a weak match.
+    assert choose(frame0, frame1, candidate, truth)[part].all()
+
+
+def test_without_a_difference_matched_pixels_get_the_candidate():
+    frame0, frame1, truth = frames_of_a_board(BOARD)
+    is_matched = np.zeros(truth.shape, bool)
+    is_matched[BOARD] = True
+    is_better = choose(frame0, frame1, truth, truth + 0.25, is_matched)
+    assert is_better[INSIDE].all()
+    assert not is_better[5:25].any()
