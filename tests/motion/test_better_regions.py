@@ -31,8 +31,11 @@ def frames_of_a_board(board):
     return frame0, frame1, depth
 
 
-def choose(frame0, frame1, found, candidate, is_matched=None):
-    pyramid = ImagePyramid(frame0, frame1, Camera(focal=100.0), factor=0.5, levels=1)
+def choose(frame0, frame1, found, candidate, is_matched=None, valid=None):
+    valid_pixels = None if valid is None else (valid, np.ones_like(valid))
+    pyramid = ImagePyramid(
+        frame0, frame1, Camera(focal=100.0), factor=0.5, levels=1, valid=valid_pixels
+    )
     if is_matched is None:
         is_matched = np.ones(found.shape, bool)
     return better_regions(
@@ -71,18 +74,39 @@ def test_a_bare_wall_keeps_its_depth():
     assert not is_better[10:110, 185:].any()
 
 
-def test_a_hidden_pixel_gets_the_farther_depth():
+HIDDEN = np.s_[40:80, 80:86]
+
+
+def frames_with_a_hidden_likeness():
+    """Return frames, and two depths that are right but for one part of each.
+
+    The board moves 16 px over the wall to its left. What is hidden there looks like the board, by
+    chance, for the first depth, which lies between board and wall.
+    """
     frame0, frame1, truth = frames_of_a_board(BOARD)
-    # The board moves 16 px over the wall to its left. What is hidden there looks like the board,
-    # by chance, for a depth between board and wall.
-    hidden = np.s_[40:80, 80:86]
-    between = (NEAR + FAR) / 2 - 4
-    found, candidate = truth.copy(), truth.copy()
-    found[hidden] = between
-    shift = int(between)
-    frame1[40:80, 80 - shift : 86 - shift] = frame0[hidden]
-    assert choose(frame0, frame1, found, candidate)[hidden].all()
-    assert not choose(frame0, frame1, candidate, found)[hidden].any()
+    between, wall = truth.copy(), truth.copy()
+    between[HIDDEN] = 12.0
+    frame1[40:80, 80 - 12 : 86 - 12] = frame0[HIDDEN]
+    between[100:115, 30:70] = wall[5:20, 30:70] = 16.0
+    return frame0, frame1, between, wall
+
+
+def test_a_hidden_pixel_gets_the_farther_depth():
+    frame0, frame1, between, wall = frames_with_a_hidden_likeness()
+    assert choose(frame0, frame1, between, wall)[HIDDEN].all()
+    is_better = choose(frame0, frame1, wall, between)
+    assert not is_better[HIDDEN].any() and is_better[8:17, 36:64].all()
+    behind_camera = wall.copy()
+    behind_camera[HIDDEN] = -3.0
+    assert not choose(frame0, frame1, between, behind_camera)[HIDDEN].any()
+
+
+def test_an_ignored_board_hides_nothing():
+    frame0, frame1, between, wall = frames_with_a_hidden_likeness()
+    valid = np.ones(wall.shape, bool)
+    valid[BOARD] = False
+    is_better = choose(frame0, frame1, between, wall, valid=valid)
+    assert not is_better[44:76, 82:85].any() and is_better[103:112, 36:64].all()
 
 
 def test_what_leaves_the_image_is_not_replaced_by_weak_matches():
@@ -96,10 +120,53 @@ def test_what_leaves_the_image_is_not_replaced_by_weak_matches():
     assert choose(frame0, frame1, candidate, truth)[part].all()
 
 
-def test_without_a_difference_matched_pixels_get_the_candidate():
+def test_matched_and_other_pixels_are_apart():
     frame0, frame1, truth = frames_of_a_board(BOARD)
+    found = np.full_like(truth, FAR)
+    candidate = truth.copy()
+    candidate[:, 140:200] = NEAR  # wrong, beside the board, and larger
     is_matched = np.zeros(truth.shape, bool)
     is_matched[BOARD] = True
-    is_better = choose(frame0, frame1, truth, truth + 0.25, is_matched)
+    is_better = choose(frame0, frame1, found, candidate, is_matched)
+    assert is_better[INSIDE].all() and not is_better[5:115, 165:195].any()
+
+
+def test_nearer_and_farther_pixels_are_apart():
+    frame0, frame1, truth = frames_of_a_board(BOARD)
+    found = np.full_like(truth, FAR)
+    candidate = truth.copy()
+    candidate[:, 140:200] = 1.0  # wrong, beside the board, and larger
+    is_better = choose(frame0, frame1, found, candidate)
+    assert is_better[INSIDE].all() and not is_better[5:115, 165:195].any()
+
+
+def test_ignored_pixels_do_not_count():
+    frame0, frame1, truth = frames_of_a_board(BOARD)
+    valid = np.ones(truth.shape, bool)
+    valid[BOARD] = False
+    found = np.full_like(truth, FAR)
+    assert not choose(frame0, frame1, found, truth, valid=valid)[INSIDE].any()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -40.0, 500.0])
+def test_an_impossible_depth_is_replaced(value):
+    frame0, frame1, truth = frames_of_a_board(BOARD)
+    found = np.full_like(truth, FAR)
+    found[BOARD] = value
+    is_better = choose(frame0, frame1, found, truth)
     assert is_better[INSIDE].all()
-    assert not is_better[5:25].any()
+
+
+def test_without_a_better_region_nothing_changes():
+    frame0, frame1, truth = frames_of_a_board(BOARD)
+    assert not choose(frame0, frame1, truth, truth + 0.25).any()
+
+
+def test_matched_pixels_of_equal_depth_join_a_better_region():
+    frame0, frame1, truth = frames_of_a_board(BOARD)
+    found = truth.copy()
+    found[BOARD] = FAR
+    is_matched = np.zeros(truth.shape, bool)
+    is_matched[:60] = True
+    is_better = choose(frame0, frame1, found, truth, is_matched)
+    assert is_better[5:25, 30:].all() and not is_better[95:115, 30:].any()

@@ -66,15 +66,18 @@ def flying_board(motion):
     return frames, truth
 
 
+def interpret_with_pose(frames, preset):
+    pose = np.eye(4)
+    pose[0, 3] = -1.0
+    settings = tisfm.Settings.preset(preset, motion="camera")
+    return tisfm.interpret(*frames, camera=tisfm.Camera(focal=FOCAL), settings=settings, pose=pose)
+
+
 # At half of the resolution, the outline is blurred over 2 px: 12% of the board's pixels.
 @pytest.mark.parametrize(("preset", "max_wrong"), [("fast", 0.15), ("balanced", 0.1)])
 def test_a_board_smaller_than_its_motion_gets_its_depth(preset, max_wrong):
     frames, truth = flying_board(BOARD)
-    pose = np.eye(4)
-    pose[0, 3] = -1.0
-    settings = tisfm.Settings.preset(preset, motion="camera")
-    camera = tisfm.Camera(focal=FOCAL)
-    result = tisfm.interpret(*frames, camera=camera, settings=settings, pose=pose)
+    result = interpret_with_pose(frames, preset)
     wrong = np.abs(result.inverse_depth * FOCAL - truth) > 3
     assert wrong[ROWS, COLUMNS].mean() < max_wrong
     assert wrong.mean() < 0.05  # the wall beside the board, hidden in frame 1, included
@@ -93,14 +96,38 @@ def test_a_small_board_is_found_beside_depth_that_is_right():
     )
     frames[0][small] = patch
     frames[1][100:130, 240 - int(BOARD) : 264 - int(BOARD)] = patch
-    frames[1] = frames[1].copy()
     truth[small] = BOARD
-    pose = np.eye(4)
-    pose[0, 3] = -1.0
-    settings = tisfm.Settings.preset("balanced", motion="camera")
-    result = tisfm.interpret(
-        *frames, camera=tisfm.Camera(focal=FOCAL), settings=settings, pose=pose
-    )
+    result = interpret_with_pose(frames, "balanced")
     wrong = np.abs(result.inverse_depth * FOCAL - truth) > 3
     assert wrong[104:126, 244:260].mean() < 0.15
     assert wrong.mean() < 0.03
+
+
+def test_a_solution_in_another_unit_is_the_same():
+    from tisfm.motion.joined_depth import SolutionWithDeviation, rescale
+    from tisfm.motion.sparse_start import depth_flow
+
+    rng = np.random.default_rng(8)
+    depth = rng.uniform(1, 20, (20, 30)).astype(np.float32)
+    motions = np.column_stack([np.eye(3), [-1.0, 0.2, 0.1]])[None]
+    solution = SolutionWithDeviation(
+        motions=motions,
+        inverse_depth=depth,
+        precision=rng.uniform(1, 2, (7, 20, 30)).astype(np.float32),
+        level=0,
+        density=1.0,
+        history=[],
+        converged=True,
+        known_deviation=depth / 10,
+    )
+    other = rescale(solution, 1.25)
+    camera = tisfm.Camera(focal=FOCAL)
+    flows = [depth_flow(s.inverse_depth, s.motions[0], camera) for s in (solution, other)]
+    np.testing.assert_allclose(flows[1], flows[0], atol=1e-3)
+    np.testing.assert_allclose(other.deviation() / other.inverse_depth, 0.1, rtol=1e-5)
+    # deviations of a linear problem are as the root of 1 / precision
+    np.testing.assert_allclose(
+        other.precision[0] * other.inverse_depth**2, solution.precision[0] * depth**2, rtol=1e-5
+    )
+    np.testing.assert_array_equal(other.precision[3], solution.precision[3])
+    assert rescale(solution, 1.0) is solution

@@ -8,39 +8,43 @@ import cv2
 import numpy as np
 
 from tisfm.camera import Camera
-from tisfm.motion.matched_planes import noise_deviation
 from tisfm.motion.moved_pixels import move_pixels
 from tisfm.motion.settings import GLOBAL
 from tisfm.motion.sparse_start import depth_flow
-from tisfm.motion.window_statistics import correlation, window_variance
+from tisfm.motion.textureless_depth import texture_weight
+from tisfm.motion.window_statistics import correlation
 from tisfm.solver.image_pyramid import ImagePyramid
-from tisfm.visibility.confidence import CONFIDENCE_WINDOW
 from tisfm.visibility.occlusion import leaves_image
 
 
 def better_regions(
     pyramid: ImagePyramid,
     motion: np.ndarray,  # (3, 4) array: R and t
-    # found, candidate: (H, W) float32: D, px/frame
+    # found, candidate: (H, W) float32: D, px/frame; the candidate is finite
     found: np.ndarray,
     candidate: np.ndarray,
     is_matched: np.ndarray,  # (H, W) bool: pixels that the candidate matched in both directions
 ) -> np.ndarray:
     """Return the pixels at which the candidate is better, (H, W) bool.
 
-    Where both depths differ, connected pixels form regions; matched pixels and others are apart. A
-    region gets the candidate if the frames correlate better along it, on average over the region.
-    Windows that vary no more than noise count little. Last, a pixel that is hidden in frame 1 gets
-    the farther one of both depths.
+    Where the candidate is nearer or farther, connected pixels form regions; matched pixels and
+    others are apart. A region gets the candidate if the frames correlate better along it, on
+    average over the region. Windows that vary no more than noise count little.
+
+    If a region gets the candidate, matched pixels of equal depth get it, too, since it is more
+    exact there. A pixel that is hidden in frame 1 gets the farther one of both depths. A found
+    depth that is not finite, behind the camera, or moves a pixel by more than the longer side is
+    always replaced.
     """
-    frame = pyramid.frames0[0]
-    variance = window_variance(frame, CONFIDENCE_WINDOW)  # the window of `correlation`
-    valid = pyramid.valid_on(0)
-    noise = noise_deviation(frame, valid=None if valid is None else valid[0])
-    weight = variance / (variance + np.float32(noise**2))
+    frame, camera = pyramid.frames0[0], pyramid.cameras[0]
+    limit = GLOBAL.region_difference
+    is_possible = (found >= -limit) & (found <= max(frame.shape))  # False for NaN
+    found = np.where(is_possible, found, candidate)
+    valid = pyramid.valid0(0)
+    weight = texture_weight(frame, half_variance=1.0, valid=valid)
     correlations = []
     for depth in (candidate, found):
-        flow = depth_flow(depth, motion, pyramid.cameras[0])
+        flow = depth_flow(depth, motion, camera)
         components = np.moveaxis(flow, -1, 0)
         if pyramid.masks is not None:
             weight = np.where(pyramid.masks.ignored_pixels(components, 0), 0, weight)
@@ -50,17 +54,17 @@ def better_regions(
     is_better = np.zeros(frame.shape, bool)
     for part in (is_matched, ~is_matched):
         for difference in (candidate - found, found - candidate):
-            is_region = part & (difference > GLOBAL.region_difference)
+            is_region = part & (difference > limit)
             _, labels = cv2.connectedComponents(is_region.astype(np.uint8), connectivity=4)
             sizes = np.bincount(labels.ravel())
             mean_gain = np.bincount(labels.ravel(), gain.ravel()) / np.maximum(sizes, 1)
             mean_gain[0] = 0  # pixels outside all regions
             is_better |= mean_gain[labels] > GLOBAL.min_gain
-    is_alike = np.abs(candidate - found) <= GLOBAL.region_difference
-    is_better |= is_matched & is_alike
-    joined = np.where(is_better, candidate, found)
-    is_hidden = _hidden_pixels(joined, motion, pyramid.cameras[0])
-    return np.where(is_hidden, candidate < found, is_better)
+    if is_better.any():
+        is_better |= is_matched & (np.abs(candidate - found) <= limit)
+        is_hidden = _hidden_pixels(np.where(is_better, candidate, found), motion, camera, valid)
+        is_better = np.where(is_hidden, (candidate < found) & (candidate >= 0), is_better)
+    return is_better | ~is_possible
 
 
 def _difference_of_correlations(
@@ -81,14 +85,23 @@ def _difference_of_correlations(
     return difference
 
 
-def _hidden_pixels(depth: np.ndarray, motion: np.ndarray, camera: Camera) -> np.ndarray:
+def _hidden_pixels(
+    depth: np.ndarray,  # (H, W) float32: D
+    motion: np.ndarray,
+    camera: Camera,
+    valid: np.ndarray | None,  # (H, W) bool: used pixels; the others hide nothing
+) -> np.ndarray:
     """Return the pixels of frame 0 that a nearer one hides in frame 1, (H, W) bool."""
     moved = move_pixels(depth, motion, camera)
-    nearest = np.full(depth.shape, -np.inf, np.float32)
-    targets = moved.rows[moved.is_inside], moved.columns[moved.is_inside]
-    np.maximum.at(nearest, targets, moved.depth[moved.is_inside].astype(np.float32))
+    width = depth.shape[1]
+    targets = moved.rows * width + moved.columns
+    hides = moved.is_inside if valid is None else moved.is_inside & valid
+    nearest = np.full(depth.size, -np.inf, np.float32)
+    np.maximum.at(nearest, targets[hides], moved.depth[hides].astype(np.float32))
     # A surface that comes nearer is sampled with gaps of a pixel.
-    closed = np.asarray(cv2.morphologyEx(nearest, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)))
-    excess = closed[moved.rows, moved.columns] - moved.depth
+    closed = cv2.morphologyEx(
+        nearest.reshape(depth.shape), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)
+    )
+    excess = np.asarray(closed).ravel()[targets] - moved.depth
     is_hidden: np.ndarray = moved.is_inside & (excess > GLOBAL.min_hidden_distance)
     return is_hidden

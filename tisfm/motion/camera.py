@@ -127,9 +127,10 @@ def camera_estimate(
         flow_residual = start.residual
     # A flow field may miss a small thing altogether; a given motion allows for a search without it.
     if unit is not None or sweep.is_needed:
-        joined = global_depth(pyramid, settings, solution)
-        if joined is not None:
-            solution, flow_residual = joined, start.residual
+        # Carried depth includes the residual, and the other depth does not.
+        missing_residual = start.residual - flow_residual
+        joined = global_depth(pyramid, settings, solution, flow_residual=missing_residual)
+        solution = joined or solution
     estimate = make_estimate(
         solution, labels, camera, settings, unit=unit, flow_residual=flow_residual
     )

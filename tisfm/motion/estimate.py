@@ -174,8 +174,8 @@ def make_estimate(
         twist_units[depthless_label] = output_units[depthless_label] = 0
     factor = output_units[labels] if len(output_units) > 1 else output_units[0]
     deviation = solution.deviation()
-    deviation_factor = _deviation_factor(deviation, flow_residual)
-    deviation *= factor * np.float32(deviation_factor)
+    enlargement = deviation_factor(deviation, flow_residual)
+    deviation *= factor * np.float32(enlargement)
     np.copyto(deviation, np.inf, where=factor == 0)
     flow, rho = _fields(
         solution.inverse_depth, labels, solution.motions, twists, twist_units, camera
@@ -185,7 +185,7 @@ def make_estimate(
         flow=flow,
         inverse_depth=solution.inverse_depth * factor,
         inverse_depth_std=deviation,
-        deviation_factor=deviation_factor,
+        deviation_factor=enlargement,
         precision=solution.precision,
         level=solution.level,
         is_normalized=settings.depth_normalization is not None,
@@ -202,7 +202,7 @@ def make_estimate(
     )
 
 
-def _deviation_factor(deviation: np.ndarray, flow_residual: float) -> float:
+def deviation_factor(deviation: np.ndarray, flow_residual: float) -> float:
     """Return the factor of deviations of D, (H, W) px, for the errors of a flow residual, px."""
     if flow_residual <= DEPTH.max_noise_residual:
         return 1.0

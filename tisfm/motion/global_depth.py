@@ -14,10 +14,11 @@ from tisfm.kernels.layout.lanes import aligned_empty
 from tisfm.kernels.rigid.census import BITS, WORDS, census_cost
 from tisfm.kernels.rigid.semi_global import UNUSED_COST, aggregate, best_hypothesis
 from tisfm.motion.better_regions import better_regions
-from tisfm.motion.joined_solution import join_solutions
+from tisfm.motion.estimate import deviation_factor
+from tisfm.motion.joined_depth import join_solutions, rescale
 from tisfm.motion.moved_pixels import move_pixels
 from tisfm.motion.plane_sweep import MAX_COSTS, MIN_MEAN_STEP
-from tisfm.motion.rigid_depth import RigidSolution, rigid_depth
+from tisfm.motion.rigid_depth import RigidSolution, rigid_depth, scaled_translations
 from tisfm.motion.settings import GLOBAL
 from tisfm.motion.sparse_start import depth_flow
 from tisfm.runtime import lanes
@@ -32,13 +33,22 @@ def global_depth(
     pyramid: ImagePyramid,
     settings: Settings,
     solution: RigidSolution,  # of one motion, whose depth was found without this search
+    *,
+    flow_residual: float,  # px: as in `make_estimate`, for the deviation of the new depth alone
 ) -> RigidSolution | None:
     """Return a solution with depth from a global search in the regions where the frames prefer it.
 
     Returns None if the frames are not far apart, if hardly any match of a coarse level contradicts
     the depth that was found, or if the frames prefer that depth everywhere.
     """
-    frames, motion = pyramid.frames0, solution.motions[0]
+    frames = pyramid.frames0
+    labels = np.zeros(pyramid.shape, np.int32)
+    # A refined motion has another direction, and so another length of a translation in px.
+    motion = scaled_translations(solution.motions, labels, pyramid.cameras[0])[0]
+    unit = float(np.linalg.norm(motion[:, 3]))
+    if not unit:
+        return None
+    found = rescale(solution, float(np.linalg.norm(solution.motions[0, :, 3])) / unit)
     coarse = next(
         (k for k, frame in enumerate(frames) if frame.size <= GLOBAL.range_pixels), len(frames) - 1
     )
@@ -49,8 +59,8 @@ def global_depth(
     high = float(np.percentile(depth[is_matched], GLOBAL.range_percentile)) / pyramid.scales[coarse]
     if high < GLOBAL.min_parallax * max(pyramid.shape):
         return None
-    found = pyramid.scales[coarse] * cv2.resize(solution.inverse_depth, depth.shape[::-1])
-    if _contradicted_share(depth, is_matched, found) < GLOBAL.min_contradicted_share:
+    coarse_found = pyramid.scales[coarse] * cv2.resize(found.inverse_depth, depth.shape[::-1])
+    if _contradicted_share(depth, is_matched, coarse_found) < GLOBAL.min_contradicted_share:
         return None
     high = min((1 + GLOBAL.range_margin) * high, GLOBAL.max_parallax * max(pyramid.shape))
     level = next(
@@ -61,7 +71,7 @@ def global_depth(
     if level < coarse:
         depth, is_matched = _match(pyramid, level, motion, high * pyramid.scales[level])
     depth = _fill(depth, is_matched, motion, pyramid.cameras[level])
-    last = pyramid.last
+    last = min(pyramid.last, solution.level)
     size = frames[last].shape[::-1]
     ratio = np.float32(pyramid.scales[last] / pyramid.scales[level])
     start = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST) * ratio
@@ -74,23 +84,25 @@ def global_depth(
         pyramid,
         settings,
         motion[None],
-        np.zeros(pyramid.shape, np.int32),
+        labels,
         last=last,
         refine="none",
         support=support,
         start=(last, start),
     )
     is_better = better_regions(
-        pyramid, motion, solution.inverse_depth, candidate.inverse_depth, support
+        pyramid, motion, found.inverse_depth, candidate.inverse_depth, support
     )
     if not is_better.any():
         return None
+    deviation = candidate.deviation()
     return join_solutions(
-        solution,
+        found,
         candidate,
         is_better,
-        motions=solution.motions,
-        status_of=candidate if is_better.mean() > 0.5 else solution,
+        motions=motion[None],
+        other_deviation=deviation * np.float32(deviation_factor(deviation, flow_residual)),
+        status_from_other=found.converged,
     )
 
 

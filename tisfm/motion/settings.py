@@ -177,7 +177,8 @@ class GlobalDepthSettings:
     min_matched_share: float = 0.1  # share of the pixels that match, on the coarse level
     # px of the coarse level: difference from the D around a pixel by which a match contradicts it
     contradiction: float = 1.0
-    min_contradicted_share: float = 0.005  # share of such matches from which depth is searched
+    # share of such matches from which depth is searched: 0.007 and more for pairs of boards
+    min_contradicted_share: float = 0.005
     cost_factor: float = 2.0  # factor of the share of differing bits
     step_cost: float = 0.3  # cost of a change between neighbours by one hypothesis
     jump_cost: float = 4.0  # cost of a larger change
@@ -188,13 +189,13 @@ class GlobalDepthSettings:
     region_step: float = 1.5  # px: largest step of D within a region
     line_step: float = 1.0  # px of D: step that shows the direction of an epipolar line
     median_window: int = 5  # px: side of the window of the median of filled depth
-    # better_regions
-    # px/frame of D: differences of two estimates that belong to one region
+    # better_regions. On the pairs of tried.md, "Frames far apart", errors hardly change if one of
+    # the first two numbers is halved or doubled.
+    # px/frame of D: two depths that differ by more are different
     region_difference: float = 1.0
-    # Mean gain of correlation from which a region gets the new depth. Twice and half of it, and of
-    # the next number, change errors by less than a tenth.
+    # mean gain of correlation from which a region gets the new depth
     min_gain: float = 0.005
-    # px/frame of D: a pixel that moves behind one that is nearer by more is hidden
+    # px/frame: a pixel is hidden if it moves behind one whose D is larger by more; set by hand
     min_hidden_distance: float = 1.5
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from tisfm.kernels.layout.images import image_to_lanes, lanes_to_images, multiply
 from tisfm.kernels.layout.launch import join_launches
 from tisfm.kernels.rigid.epipolar import displacement, restrict_to_line
-from tisfm.motion.joined_solution import JoinedSolution
+from tisfm.motion.joined_depth import SolutionWithDeviation
 from tisfm.motion.matched_planes import MatchedPlanes, matched_planes, noise_deviation
 from tisfm.motion.problems import depth_problem
 from tisfm.motion.settings import DEPTH
@@ -59,7 +59,7 @@ def textureless_depth(
     # (H, W) bool array: pixels whose matches and constraints are used, by default all. Depth is
     # carried to the other pixels.
     support: np.ndarray | None = None,
-) -> JoinedSolution | None:
+) -> SolutionWithDeviation | None:
     """Estimate the inverse depth of every pixel under a known motion.
 
     Returns None if too few pixels could be matched, or if no level is small enough.
@@ -87,7 +87,7 @@ def textureless_depth(
         history += [(level, warp, iteration) for iteration in iterations]
     state.limit_depth(planes)
     unknowns = state.unknowns
-    return JoinedSolution(
+    return SolutionWithDeviation(
         motions=motion[None],
         inverse_depth=resize_to_finest(pyramid, unknowns, level)[0],
         precision=state.precision(),

@@ -15,7 +15,7 @@ import numpy as np
 from tisfm.camera import Camera
 from tisfm.motion.egomotion import triangulate
 from tisfm.motion.estimate import Estimate
-from tisfm.motion.joined_solution import JoinedSolution, join_solutions
+from tisfm.motion.joined_depth import SolutionWithDeviation, join_solutions
 from tisfm.motion.objects.layers import fill_nearest
 from tisfm.motion.objects.settings import OBJECTS
 from tisfm.motion.rigid_depth import (
@@ -134,7 +134,7 @@ def carry_background_depth(
     # (3, 4) array: R and t of the background's layer, because wrong depth of textureless surfaces
     # spoils the refined motion
     motion: np.ndarray,
-) -> JoinedSolution | None:
+) -> SolutionWithDeviation | None:
     """Return a solution with carried depth of the background, if the frame is partly textureless.
 
     Pixels of other labels keep their motion and depth. They are neither matched nor constrained
@@ -164,11 +164,12 @@ def carry_background_depth(
     new_solution = textureless_depth(pyramid, settings, motions[0], support=interior)
     if new_solution is None:
         return None
-    solutions: list[RigidSolution] = [solution, new_solution]
-    if labels.any() and not solution.converged:
-        solutions.reverse()  # the last one gives the status of the iterations
     return join_solutions(
-        solution, new_solution, is_background, motions=motions, status_of=solutions[-1]
+        solution,
+        new_solution,
+        is_background,
+        motions=motions,
+        status_from_other=solution.converged or not labels.any(),
     )
 
 
