@@ -80,8 +80,8 @@ HIDDEN = np.s_[40:80, 80:86]
 def frames_with_a_hidden_likeness():
     """Return frames, and two depths that are right but for one part of each.
 
-    The board moves 16 px over the wall to its left. What is hidden there looks like the board, by
-    chance, for the first depth, which lies between board and wall.
+    The board moves 16 px over the wall to its left. The first depth of the hidden wall lies between
+    board and wall, and its pixels in frame 1 look like the wall by chance.
     """
     frame0, frame1, truth = frames_of_a_board(BOARD)
     between, wall = truth.copy(), truth.copy()

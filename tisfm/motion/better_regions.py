@@ -1,7 +1,7 @@
-"""A choice between two depths of a pair, region by region, by what the frames show.
+"""The frames choose between two depths of a pair, region by region.
 
 A search finds things that an estimate from coarse to fine loses, and is wrong on bare surfaces. One
-choice for the whole frame would take its errors or lose its finds.
+choice for the whole frame would take the errors of the search, or lose the things it finds.
 """
 
 import cv2
