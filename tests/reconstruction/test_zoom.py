@@ -72,21 +72,49 @@ def test_camera_is_revised_in_the_largest_piece_with_positions():
     ],
 )
 def test_zoom_is_kept_if_it_converges_in_one_piece(monkeypatch, changes, pieces, zoom):
-    path, remaining = path_of(*pieces), iter(changes)
-    for name, answer in (
-        ("_find_remaining_zoom", lambda *_: (None, next(remaining) * (np.arange(8) > 4))),
-        ("unzoom_tracks", lambda tracks, *_: tracks),
-    ):
-        monkeypatch.setattr(camera_revision, name, answer)
-    monkeypatch.setattr(PathSolver, "solve", lambda *_: path)
-    tracks = SequenceTracks(
-        observations=[None] * 8, views=(), matches={}, shape=SHAPE, distinct_count=8
-    )
-    solver = PathSolver(tracks=tracks, camera=path.camera)
-    found = camera_revision._solve_zoom(path, solver, np.arange(8), ())
+    found, _ = solve_zoom(monkeypatch, path_of(*pieces), changes)
     assert (found is None) == (zoom is None)
     if found is not None:
         assert found.path.zoom[-1] == pytest.approx(np.exp(zoom)) and found.path.zoom[0] == 1
+
+
+@pytest.mark.parametrize(
+    ("cost", "deviation", "options", "solves"),
+    [
+        (0.9, 0.01, {}, 1),
+        (0.98, 0.01, {}, 0),  # a rolling shutter, not a zoom
+        (0.9, 0.1, {}, 0),  # a forward motion looks like a zoom
+        (0.9, 0.01, {"is_focal_known": False}, 0),  # a guess
+        (0.98, 0.1, {"is_focal_known": False, "calibrate": "focal"}, 1),  # a bent first path
+    ],
+)
+def test_path_is_solved_without_a_zoom_only_if_one_fits(
+    monkeypatch, cost, deviation, options, solves
+):
+    path = path_of(piece_of(range(8)))
+    found, count = solve_zoom(
+        monkeypatch, path, [0.1, 0.01], cost=cost, deviation=deviation, **options
+    )
+    assert count == solves and (found is not None) == bool(solves)
+
+
+def solve_zoom(monkeypatch, path, changes, *, cost=0.5, deviation=0.01, **options):
+    """Return the zoomed path, and how often it was solved; each round finds one of the changes."""
+    remaining, solved = iter(changes), []
+    adjusted = SimpleNamespace(zoom_deviation=np.array([deviation]))
+    for name, answer in (
+        ("_find_remaining_zoom", lambda *_: (adjusted, next(remaining) * (np.arange(8) > 4))),
+        ("adjust_largest_piece", lambda *_: None),
+        ("compare_costs", lambda *_: cost),
+        ("unzoom_tracks", lambda tracks, *_: tracks),
+    ):
+        monkeypatch.setattr(camera_revision, name, answer)
+    monkeypatch.setattr(PathSolver, "solve", lambda *_: solved.append(path) or path)
+    tracks = SequenceTracks(
+        observations=[None] * 8, views=(), matches={}, shape=SHAPE, distinct_count=8
+    )
+    solver = PathSolver(tracks=tracks, camera=path.camera, **options)
+    return camera_revision._solve_zoom(path, solver, np.arange(8), ()), len(solved)
 
 
 @pytest.mark.parametrize(
@@ -144,15 +172,13 @@ def test_zoom_along_a_forward_motion_is_an_objection(rate):
     [
         (0.02, None, {}, True),
         (0.0, None, {}, False),  # a constant focal length
-        (0.02, None, {"is_focal_known": False}, False),  # a guess
         (0.02, 1.0, {"calibrate": "focal"}, True),  # estimated to 0.5 %
         (0.02, 100.0, {"calibrate": "focal"}, False),  # to 50 %
         (0.02, None, {"camera": tisfm.Camera(focal=1.3 * FOCAL)}, False),  # stated too long
     ],
 )
-def test_zoom_is_shown_with_a_focal_length_that_is_known(monkeypatch, zoom, focal, options, shown):
+def test_zoom_is_shown_with_a_focal_length_that_is_known(zoom, focal, options, shown):
     zooms = zoom * np.arange(8)
-    monkeypatch.setattr(path_bundle, "make_bundle", lambda *_, **__: bundle(zooms))
     path = path_of(piece_of(range(8)))
     tracks = SequenceTracks(
         observations=[None] * 8, views=(), matches={}, shape=SHAPE, distinct_count=8
@@ -162,6 +188,7 @@ def test_zoom_is_shown_with_a_focal_length_that_is_known(monkeypatch, zoom, foca
     zoomed_path = camera_revision._ZoomedPath(
         path=replace(path, zoom=np.exp(zooms), focal=estimate),
         adjusted=adjust_camera(bundle(zooms), solver.camera.focal, has_zoom=True),
+        constant=adjust_camera(bundle(zooms), FOCAL, ("focal", "k1")),
     )
     assert camera_revision._shows_zoom(path, zoomed_path, solver) == shown
 

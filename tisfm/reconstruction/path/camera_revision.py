@@ -116,6 +116,7 @@ class _ZoomedPath:
     path: CameraPath
     # with the zoom that remains in the tracks of the path: less than `REVISION.zoom_tolerance`
     adjusted: AdjustedCamera
+    constant: AdjustedCamera  # the camera without a zoom that the tracks fit before
 
 
 def _solve_zoom(
@@ -126,16 +127,27 @@ def _solve_zoom(
     A path that was solved with a wrong zoom is bent. So the zoom is found in rounds. Several pieces
     have a zoom each, whose ratio is unknown: such a path keeps its focal length. So does a piece
     with joints, since the images that join its parts still have the zoom.
+
+    A round takes as long as the first path. So none begins if the focal length is stated, and a
+    zoom fits the tracks of the first path hardly better than a constant camera. With another focal
+    length, the first path may be bent so much that no zoom fits its tracks.
     """
-    if any(piece.joints for piece in path.pieces):
+    if len(path.pieces_with_positions) != 1 or any(piece.joints for piece in path.pieces):
         return None
+    if solver.calibrate == "nothing" and not solver.is_focal_known:
+        return None  # a wrong focal length may look like a zoom
+    constant = adjust_largest_piece(path, solver.tracks.shape, ("focal", "k1"))
     total = np.zeros(len(solver.tracks.observations))
     for solves_left in reversed(range(REVISION.zoom_rounds + 1)):
         if len(path.pieces_with_positions) != 1 or count_views(path) < REVISION.min_views:
             return None
         adjusted, change = _find_remaining_zoom(path, free, total, solver.tracks.shape)
+        is_decisive = solves_left == REVISION.zoom_rounds and solver.calibrate == "nothing"
+        if is_decisive and not _fits_better(adjusted, constant, REVISION.max_first_zoom_cost):
+            return None
         if np.abs(change).max() < REVISION.zoom_tolerance:
-            return _ZoomedPath(path=replace(path, zoom=np.exp(total)), adjusted=adjusted)
+            zoomed = replace(path, zoom=np.exp(total))
+            return _ZoomedPath(path=zoomed, adjusted=adjusted, constant=constant)
         if solves_left:
             total += change
             tracks = unzoom_tracks(solver.tracks, total, solver.camera)
@@ -168,25 +180,26 @@ def _find_remaining_zoom(
 def _shows_zoom(path: CameraPath, zoomed: _ZoomedPath, solver: PathSolver) -> bool:
     """Return whether a zoom is significant, and explains what no constant camera explains."""
     zoom, adjusted = zoomed.path.zoom, zoomed.adjusted
-    deviation = float(adjusted.zoom_deviation.max())
-    if zoom is None or deviation > REVISION.max_zoom_deviation:
+    if zoom is None or not _fits_better(adjusted, zoomed.constant, REVISION.max_zoom_cost):
         return False
+    deviation = float(adjusted.zoom_deviation.max())
     extent = float(np.log(zoom.max() / zoom.min()))
     if extent < max(REVISION.min_zoom, REVISION.min_zoom_significance * deviation):
         return False
     if count_posed_frames(zoomed.path) < count_posed_frames(path):
         return False
-    constant = adjust_largest_piece(path, solver.tracks.shape, ("focal", "k1"))
-    if compare_costs(adjusted, constant) > REVISION.max_zoom_cost:
-        return False
     if solver.calibrate != "nothing":
         # With an uncertain focal length, a forward motion may look like a zoom.
         return zoomed.path.focal is not None and zoomed.path.focal.is_certain
-    if not solver.is_focal_known:
-        return False
     # A wrong stated focal length may look like a zoom. Then the tracks show another focal length.
     free = adjust_camera(adjusted.bundle, adjusted.focal, ("focal",), has_zoom=True)
     return not has_other_focal(free, solver.camera)
+
+
+def _fits_better(zoomed: AdjustedCamera, constant: AdjustedCamera, max_cost: float) -> bool:
+    """Return whether tracks show a zoom exactly, and fit it better than a constant camera."""
+    is_exact = zoomed.zoom_deviation.max() <= REVISION.max_zoom_deviation
+    return bool(is_exact and compare_costs(zoomed, constant) <= max_cost)
 
 
 def unzoom_tracks(
