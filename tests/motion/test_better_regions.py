@@ -101,6 +101,23 @@ def test_a_hidden_pixel_gets_the_farther_depth():
     assert not choose(frame0, frame1, between, behind_camera)[HIDDEN].any()
 
 
+def test_a_pixel_without_a_match_may_be_hidden():
+    """The found depth continues the board over the wall that it hides, where it looks unlike."""
+    frame0, frame1, wall = frames_of_a_board(BOARD)
+    rows, columns = BOARD[0], slice(76, 90)
+    continued = wall.copy()
+    continued[rows, columns] = NEAR
+    seen = frame1[rows, 76 - int(NEAR) : 90 - int(NEAR)]
+    seen[:] = 0.7 * seen + 0.3 * frame0[rows, columns]
+    is_matched = np.ones(wall.shape, bool)
+    is_matched[rows, columns] = False
+    strip = np.s_[40:80, 80:88]
+    assert choose(frame0, frame1, continued, wall, is_matched)[strip].all()
+    # Without a nearer pixel before it, frame 1 refutes the depth of the wall.
+    is_better = choose(frame0, frame1, continued, np.full_like(wall, FAR), is_matched)
+    assert not is_better[strip].any()
+
+
 def test_an_ignored_board_hides_nothing():
     frame0, frame1, between, wall = frames_with_a_hidden_likeness()
     valid = np.ones(wall.shape, bool)

@@ -29,7 +29,8 @@ def better_regions(
 
     Where the candidate is nearer or farther, connected pixels form regions; matched pixels and
     others are apart. A region gets the candidate if the frames correlate better along it, on
-    average over the region. Windows that vary no more than noise count little.
+    average over the region. Windows that vary no more than noise count little. Where matched pixels
+    of the candidate hide a pixel without a match, frame 1 cannot refute the candidate.
 
     If a region gets the candidate, matched pixels of equal depth get it, too, since it is more
     exact there. A pixel that is hidden in frame 1 gets the farther one of both depths. A found
@@ -42,14 +43,17 @@ def better_regions(
     found = np.where(is_possible, found, candidate)
     valid = pyramid.valid0(0)
     weight = texture_weight(frame, half_variance=1.0, valid=valid)
+    hides = is_matched if valid is None else is_matched & valid
+    is_hidden = ~is_matched & _hidden_pixels(candidate, motion, camera, hides)
     correlations = []
-    for depth in (candidate, found):
+    for depth, hidden in ((candidate, is_hidden), (found, np.False_)):
         flow = depth_flow(depth, motion, camera)
         components = np.moveaxis(flow, -1, 0)
         if pyramid.masks is not None:
             weight = np.where(pyramid.masks.ignored_pixels(components, 0), 0, weight)
         seen = correlation(frame, pyramid.frames1[0], flow)
-        correlations.append(np.where(leaves_image(components), np.float32(np.nan), seen))
+        is_unknown = leaves_image(components) | hidden
+        correlations.append(np.where(is_unknown, np.float32(np.nan), seen))
     gain = weight * _difference_of_correlations(correlations[0], correlations[1])
     is_better = np.zeros(frame.shape, bool)
     for part in (is_matched, ~is_matched):
@@ -68,14 +72,15 @@ def better_regions(
 
 
 def _difference_of_correlations(
-    # candidate, found: (H, W) float32: correlation along both depths, NaN outside frame 1
+    # candidate, found: (H, W) float32: correlation along both depths, NaN where frame 1 cannot
+    # show the pixel
     candidate: np.ndarray,
     found: np.ndarray,
 ) -> np.ndarray:  # (H, W) float32
     """Return by how much the candidate correlates better.
 
-    A depth that moves a pixel out of frame 1 can be neither confirmed nor refuted. It counts
-    as the better depth of a usual pixel.
+    A depth that moves a pixel out of frame 1, or behind another one, can be neither confirmed nor
+    refuted. It counts as the better depth of a usual pixel.
     """
     better = np.fmax(candidate, found)
     is_seen = np.isfinite(better)
@@ -89,13 +94,13 @@ def _hidden_pixels(
     depth: np.ndarray,  # (H, W) float32: D
     motion: np.ndarray,
     camera: Camera,
-    valid: np.ndarray | None,  # (H, W) bool: used pixels; the others hide nothing
+    can_hide: np.ndarray | None,  # (H, W) bool: pixels that hide others; None for all
 ) -> np.ndarray:
     """Return the pixels of frame 0 that a nearer one hides in frame 1, (H, W) bool."""
     moved = move_pixels(depth, motion, camera)
     width = depth.shape[1]
     targets = moved.rows * width + moved.columns
-    hides = moved.is_inside if valid is None else moved.is_inside & valid
+    hides = moved.is_inside if can_hide is None else moved.is_inside & can_hide
     nearest = np.full(depth.size, -np.inf, np.float32)
     np.maximum.at(nearest, targets[hides], moved.depth[hides].astype(np.float32))
     # A surface that comes nearer is sampled with gaps of a pixel.
