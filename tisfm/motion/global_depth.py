@@ -38,8 +38,7 @@ def global_depth(
 ) -> RigidSolution | None:
     """Return a solution with depth from a global search in the regions where the frames prefer it.
 
-    Returns None if the frames are not far apart, if hardly any match of a coarse level contradicts
-    the depth that was found, or if the frames prefer that depth everywhere.
+    Returns None if the frames are not far apart, or prefer the depth that was found everywhere.
     """
     frames = pyramid.frames0
     labels = np.zeros(pyramid.shape, np.int32)
@@ -58,9 +57,6 @@ def global_depth(
         return None
     high = float(np.percentile(depth[is_matched], GLOBAL.range_percentile)) / pyramid.scales[coarse]
     if high < GLOBAL.min_parallax * max(pyramid.shape):
-        return None
-    coarse_found = pyramid.scales[coarse] * cv2.resize(found.inverse_depth, depth.shape[::-1])
-    if _contradicted_share(depth, is_matched, coarse_found) < GLOBAL.min_contradicted_share:
         return None
     high = min((1 + GLOBAL.range_margin) * high, GLOBAL.max_parallax * max(pyramid.shape))
     level = next(
@@ -104,18 +100,6 @@ def global_depth(
         other_deviation=deviation * np.float32(deviation_factor(deviation, flow_residual)),
         status_from_other=found.converged,
     )
-
-
-def _contradicted_share(
-    # depth, found: (h, w) float32: D of matches and of an estimate, px/frame
-    depth: np.ndarray,
-    is_matched: np.ndarray,  # (h, w) bool
-    found: np.ndarray,
-) -> float:
-    """Return the share of the matched pixels whose depth an estimate does not have nearby."""
-    window = np.ones((3, 3), np.uint8)
-    excess = np.maximum(depth - cv2.dilate(found, window), cv2.erode(found, window) - depth)
-    return float((excess[is_matched] > GLOBAL.contradiction).mean())
 
 
 def _match(
