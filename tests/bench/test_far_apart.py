@@ -54,6 +54,18 @@ def test_the_matcher_of_opencv_finds_boards():
     assert measure(far_apart.block_matcher, boards(120, 200, seed=2)).seen < 30
 
 
+@pytest.mark.parametrize(
+    ("size", "seed", "most"),
+    [
+        ((270, 480), 20, 30),  # 57 % if frame 1 could refute a depth that it does not show
+        ((360, 640), 30, 30),  # 35 % without a search, as few matches contradict the first depth
+    ],
+)
+def test_hidden_pixels_of_boards_get_the_wall_behind(size, seed, most):
+    method = far_apart.own_method("fast", pose_given=True)
+    assert measure(method, boards(*size, seed=seed)).hidden < most
+
+
 def test_pairs_of_a_folder(tmp_path):
     folder = tmp_path / "things" / "chair"
     folder.mkdir(parents=True)

@@ -102,7 +102,7 @@ def test_a_hidden_pixel_gets_the_farther_depth():
 
 
 def test_a_pixel_without_a_match_may_be_hidden():
-    """The found depth continues the board over the wall that it hides, where it looks unlike."""
+    """The found depth continues the board beside it, where frame 1 looks a little alike."""
     frame0, frame1, wall = frames_of_a_board(BOARD)
     rows, columns = BOARD[0], slice(76, 90)
     continued = wall.copy()
@@ -113,9 +113,26 @@ def test_a_pixel_without_a_match_may_be_hidden():
     is_matched[rows, columns] = False
     strip = np.s_[40:80, 80:88]
     assert choose(frame0, frame1, continued, wall, is_matched)[strip].all()
-    # Without a nearer pixel before it, frame 1 refutes the depth of the wall.
+    # If nothing hides the wall, or an ignored board does, frame 1 refutes the depth of the wall.
     is_better = choose(frame0, frame1, continued, np.full_like(wall, FAR), is_matched)
     assert not is_better[strip].any()
+    valid = np.ones(wall.shape, bool)
+    valid[rows, BOARD[1]] = False
+    assert not choose(frame0, frame1, continued, wall, is_matched, valid)[strip].any()
+
+
+def test_a_wrong_match_hides_nothing():
+    """The frames refuse a board, so that it hides no wall beside it."""
+    frame0, frame1, board = frames_of_a_board(BOARD)
+    wall = textured(1)
+    frame0, frame1 = wall[:, :WIDTH].copy(), wall[:, int(FAR) :][:, :WIDTH].copy()
+    rows, columns = BOARD[0], slice(74, 90)
+    noise = np.random.default_rng(3).normal(0, 20, (60, 16)).astype(np.float32)
+    frame1[rows, 74 - int(FAR) : 90 - int(FAR)] += noise
+    board[rows, columns] = 4.0
+    is_matched = np.ones(board.shape, bool)
+    is_matched[rows, columns] = False
+    assert not choose(frame0, frame1, np.full_like(board, FAR), board, is_matched).any()
 
 
 def test_an_ignored_board_hides_nothing():

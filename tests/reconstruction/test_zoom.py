@@ -1,5 +1,6 @@
 """A zoom, or a distortion, that the camera does not state."""
 
+import itertools
 import json
 from dataclasses import replace
 from types import SimpleNamespace
@@ -82,6 +83,7 @@ def test_zoom_is_kept_if_it_converges_in_one_piece(monkeypatch, changes, pieces,
     ("cost", "deviation", "options", "solves"),
     [
         (0.9, 0.01, {}, 1),
+        (0.96, 0.01, {}, 1),  # a weak zoom
         (0.98, 0.01, {}, 0),  # a rolling shutter, not a zoom
         (0.9, 0.1, {}, 0),  # a forward motion looks like a zoom
         (0.9, 0.01, {"is_focal_known": False}, 0),  # a guess
@@ -98,14 +100,23 @@ def test_path_is_solved_without_a_zoom_only_if_one_fits(
     assert count == solves and (found is not None) == bool(solves)
 
 
+def test_only_the_first_path_decides_whether_a_zoom_is_removed(monkeypatch):
+    costs = iter([0.9, 0.99, 0.99])  # the tracks of later paths have no zoom any more
+    found, count = solve_zoom(
+        monkeypatch, path_of(piece_of(range(8))), [0.2, 0.1, 0.01], cost=costs
+    )
+    assert found is not None and count == 2
+
+
 def solve_zoom(monkeypatch, path, changes, *, cost=0.5, deviation=0.01, **options):
     """Return the zoomed path, and how often it was solved; each round finds one of the changes."""
+    costs = itertools.repeat(cost) if isinstance(cost, float) else cost
     remaining, solved = iter(changes), []
     adjusted = SimpleNamespace(zoom_deviation=np.array([deviation]))
     for name, answer in (
         ("_find_remaining_zoom", lambda *_: (adjusted, next(remaining) * (np.arange(8) > 4))),
         ("adjust_largest_piece", lambda *_: None),
-        ("compare_costs", lambda *_: cost),
+        ("compare_costs", lambda *_: next(costs)),
         ("unzoom_tracks", lambda tracks, *_: tracks),
     ):
         monkeypatch.setattr(camera_revision, name, answer)
@@ -168,16 +179,21 @@ def test_zoom_along_a_forward_motion_is_an_objection(rate):
 
 
 @pytest.mark.parametrize(
-    ("zoom", "focal", "options", "shown"),
+    ("zoom", "focal", "options", "deviation", "cost", "shown"),
     [
-        (0.02, None, {}, True),
-        (0.0, None, {}, False),  # a constant focal length
-        (0.02, 1.0, {"calibrate": "focal"}, True),  # estimated to 0.5 %
-        (0.02, 100.0, {"calibrate": "focal"}, False),  # to 50 %
-        (0.02, None, {"camera": tisfm.Camera(focal=1.3 * FOCAL)}, False),  # stated too long
+        (0.02, None, {}, 0.001, 0.5, True),
+        (0.02, None, {}, 0.001, 0.96, False),  # a constant focal length fits as well
+        (0.02, None, {}, 0.05, 0.5, False),  # inexact
+        (0.0, None, {}, 0.001, 0.5, False),  # a constant focal length
+        (0.02, 1.0, {"calibrate": "focal"}, 0.001, 0.5, True),  # estimated to 0.5 %
+        (0.02, 100.0, {"calibrate": "focal"}, 0.001, 0.5, False),  # to 50 %
+        (0.02, None, {"camera": tisfm.Camera(focal=1.3 * FOCAL)}, 0.001, 0.5, False),  # too long
     ],
 )
-def test_zoom_is_shown_with_a_focal_length_that_is_known(zoom, focal, options, shown):
+def test_zoom_is_shown_with_a_focal_length_that_is_known(
+    monkeypatch, zoom, focal, options, deviation, cost, shown
+):
+    monkeypatch.setattr(camera_revision, "compare_costs", lambda *_: cost)
     zooms = zoom * np.arange(8)
     path = path_of(piece_of(range(8)))
     tracks = SequenceTracks(
@@ -187,7 +203,10 @@ def test_zoom_is_shown_with_a_focal_length_that_is_known(zoom, focal, options, s
     estimate = None if focal is None else FocalEstimate(focal=FOCAL, deviation=focal)
     zoomed_path = camera_revision._ZoomedPath(
         path=replace(path, zoom=np.exp(zooms), focal=estimate),
-        adjusted=adjust_camera(bundle(zooms), solver.camera.focal, has_zoom=True),
+        adjusted=replace(
+            adjust_camera(bundle(zooms), solver.camera.focal, has_zoom=True),
+            zoom_deviation=np.full(8, deviation),
+        ),
         constant=adjust_camera(bundle(zooms), FOCAL, ("focal", "k1")),
     )
     assert camera_revision._shows_zoom(path, zoomed_path, solver) == shown

@@ -29,8 +29,8 @@ def better_regions(
 
     Where the candidate is nearer or farther, connected pixels form regions; matched pixels and
     others are apart. A region gets the candidate if the frames correlate better along it, on
-    average over the region. Windows that vary no more than noise count little. Where matched pixels
-    of the candidate hide a pixel without a match, frame 1 cannot refute the candidate.
+    average over the region. Windows that vary no more than noise count little. A pixel without a
+    match that better matches hide in frame 1 counts as a usual pixel there.
 
     If a region gets the candidate, matched pixels of equal depth get it, too, since it is more
     exact there. A pixel that is hidden in frame 1 gets the farther one of both depths. A found
@@ -41,46 +41,61 @@ def better_regions(
     limit = GLOBAL.region_difference
     is_possible = (found >= -limit) & (found <= max(frame.shape))  # False for NaN
     found = np.where(is_possible, found, candidate)
+    change = candidate - found
     valid = pyramid.valid0(0)
     weight = texture_weight(frame, half_variance=1.0, valid=valid)
-    hides = is_matched if valid is None else is_matched & valid
-    is_hidden = ~is_matched & _hidden_pixels(candidate, motion, camera, hides)
     correlations = []
-    for depth, hidden in ((candidate, is_hidden), (found, np.False_)):
+    for depth in (candidate, found):
         flow = depth_flow(depth, motion, camera)
         components = np.moveaxis(flow, -1, 0)
         if pyramid.masks is not None:
             weight = np.where(pyramid.masks.ignored_pixels(components, 0), 0, weight)
         seen = correlation(frame, pyramid.frames1[0], flow)
-        is_unknown = leaves_image(components) | hidden
-        correlations.append(np.where(is_unknown, np.float32(np.nan), seen))
-    gain = weight * _difference_of_correlations(correlations[0], correlations[1])
-    is_better = np.zeros(frame.shape, bool)
-    for part in (is_matched, ~is_matched):
-        for difference in (candidate - found, found - candidate):
-            is_region = part & (difference > limit)
-            _, labels = cv2.connectedComponents(is_region.astype(np.uint8), connectivity=4)
-            sizes = np.bincount(labels.ravel())
-            mean_gain = np.bincount(labels.ravel(), gain.ravel()) / np.maximum(sizes, 1)
-            mean_gain[0] = 0  # pixels outside all regions
-            is_better |= mean_gain[labels] > GLOBAL.min_gain
+        correlations.append(np.where(leaves_image(components), np.float32(np.nan), seen))
+    along_candidate, along_found = correlations
+    gain = weight * _difference_of_correlations(along_candidate, along_found)
+    is_better = _regions_with_gain(is_matched, change, gain)
+    can_hide = is_matched & (is_better | (np.abs(change) <= limit))
+    if valid is not None:
+        can_hide &= valid
+    is_behind = _hidden_pixels(candidate, motion, camera, can_hide)
+    along_candidate = np.where(is_behind, np.float32(np.nan), along_candidate)
+    gain = weight * _difference_of_correlations(along_candidate, along_found)
+    is_better |= _regions_with_gain(~is_matched, change, gain)
     if is_better.any():
-        is_better |= is_matched & (np.abs(candidate - found) <= limit)
+        is_better |= is_matched & (np.abs(change) <= limit)
         is_hidden = _hidden_pixels(np.where(is_better, candidate, found), motion, camera, valid)
         is_better = np.where(is_hidden, (candidate < found) & (candidate >= 0), is_better)
     return is_better | ~is_possible
 
 
+def _regions_with_gain(
+    part: np.ndarray,  # (H, W) bool: the pixels that may belong to a region
+    change: np.ndarray,  # (H, W) float32: D of the candidate less D that was found
+    gain: np.ndarray,  # (H, W) float32: of correlation
+) -> np.ndarray:
+    """Return the regions of nearer, and of farther, pixels with enough mean gain, (H, W) bool."""
+    has_gain = np.zeros(part.shape, bool)
+    for difference in (change, -change):
+        is_region = part & (difference > GLOBAL.region_difference)
+        _, labels = cv2.connectedComponents(is_region.astype(np.uint8), connectivity=4)
+        sizes = np.bincount(labels.ravel())
+        mean_gain = np.bincount(labels.ravel(), gain.ravel()) / np.maximum(sizes, 1)
+        mean_gain[0] = 0  # pixels outside all regions
+        has_gain |= mean_gain[labels] > GLOBAL.min_gain
+    return has_gain
+
+
 def _difference_of_correlations(
-    # candidate, found: (H, W) float32: correlation along both depths, NaN where frame 1 cannot
-    # show the pixel
+    # candidate, found: (H, W) float32: correlation along both depths, NaN outside frame 1, and
+    # where a candidate is hidden there
     candidate: np.ndarray,
     found: np.ndarray,
 ) -> np.ndarray:  # (H, W) float32
     """Return by how much the candidate correlates better.
 
-    A depth that moves a pixel out of frame 1, or behind another one, can be neither confirmed nor
-    refuted. It counts as the better depth of a usual pixel.
+    A depth without a correlation can be neither confirmed nor refuted. It counts as the better
+    depth of a usual pixel.
     """
     better = np.fmax(candidate, found)
     is_seen = np.isfinite(better)

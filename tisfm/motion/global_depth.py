@@ -38,7 +38,8 @@ def global_depth(
 ) -> RigidSolution | None:
     """Return a solution with depth from a global search in the regions where the frames prefer it.
 
-    Returns None if the frames are not far apart, or prefer the depth that was found everywhere.
+    Returns None without a translation, or if the frames are not far apart, hardly match, or prefer
+    the depth that was found everywhere.
     """
     frames = pyramid.frames0
     labels = np.zeros(pyramid.shape, np.int32)

@@ -116,7 +116,8 @@ class _ZoomedPath:
     path: CameraPath
     # with the zoom that remains in the tracks of the path: less than `REVISION.zoom_tolerance`
     adjusted: AdjustedCamera
-    constant: AdjustedCamera  # the camera without a zoom that the tracks fit before
+    # fitted to the tracks of the first path: a constant focal length, and a distortion k1
+    constant: AdjustedCamera
 
 
 def _solve_zoom(
@@ -128,9 +129,9 @@ def _solve_zoom(
     have a zoom each, whose ratio is unknown: such a path keeps its focal length. So does a piece
     with joints, since the images that join its parts still have the zoom.
 
-    A round takes as long as the first path. So none begins if the focal length is stated, and a
-    zoom fits the tracks of the first path hardly better than a constant camera. With another focal
-    length, the first path may be bent so much that no zoom fits its tracks.
+    A round takes as long as the first path. So if the focal length is stated, the first path
+    decides whether a round begins: a zoom has to fit its tracks exactly, and better than a constant
+    camera. If the focal length is estimated, the first path may be too bent for that.
     """
     if len(path.pieces_with_positions) != 1 or any(piece.joints for piece in path.pieces):
         return None
@@ -142,8 +143,8 @@ def _solve_zoom(
         if len(path.pieces_with_positions) != 1 or count_views(path) < REVISION.min_views:
             return None
         adjusted, change = _find_remaining_zoom(path, free, total, solver.tracks.shape)
-        is_decisive = solves_left == REVISION.zoom_rounds and solver.calibrate == "nothing"
-        if is_decisive and not _fits_better(adjusted, constant, REVISION.max_first_zoom_cost):
+        decides = solves_left == REVISION.zoom_rounds and solver.calibrate == "nothing"
+        if decides and not _fits_better(adjusted, constant, REVISION.max_first_zoom_cost):
             return None
         if np.abs(change).max() < REVISION.zoom_tolerance:
             zoomed = replace(path, zoom=np.exp(total))
@@ -197,7 +198,7 @@ def _shows_zoom(path: CameraPath, zoomed: _ZoomedPath, solver: PathSolver) -> bo
 
 
 def _fits_better(zoomed: AdjustedCamera, constant: AdjustedCamera, max_cost: float) -> bool:
-    """Return whether tracks show a zoom exactly, and fit it better than a constant camera."""
+    """Return whether a zoom is exact, and costs at most `max_cost` of a constant camera."""
     is_exact = zoomed.zoom_deviation.max() <= REVISION.max_zoom_deviation
     return bool(is_exact and compare_costs(zoomed, constant) <= max_cost)
 
